@@ -1,0 +1,85 @@
+"""Hue-preserving compositing of premultiplied RGBA layers, on arrays and on files.
+
+Colours are labels: where translucent ones overlap, ⊕ keeps every hue one of those that went in.
+Chuang, Weiskopf, Möller: Hue-Preserving Color Blending, IEEE TVCG 15(6), 2009.
+
+    composite     stack of arrays (…, 4) -> array
+    hue_add       c1 ⊕ c2 of colours (…, 3)
+    stack         layer files -> one file, as `hpcomp stack`
+    read_layer    one layer of a file -> pixels and windows
+    write_image   pixels -> a file
+    info          what a file holds and how it will be read
+
+Names are imported on first use, so that importing the package costs nothing.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+__version__ = "0.1.0"
+
+if TYPE_CHECKING:
+    from .compositing import composite as composite
+    from .compositing import hue_add as hue_add
+    from .encoding import Losses as Losses
+    from .errors import ExitCode as ExitCode
+    from .errors import HpcompError as HpcompError
+    from .errors import HpcompWarning as HpcompWarning
+    from .errors import InputError as InputError
+    from .errors import InputWarning as InputWarning
+    from .errors import MismatchError as MismatchError
+    from .errors import OutputError as OutputError
+    from .errors import SettingError as SettingError
+    from .geometry import Window as Window
+    from .imagefile import ImageFile as ImageFile
+    from .imagefile import LayerImage as LayerImage
+    from .orders import ORDERS as ORDERS
+    from .pipeline import StackResult as StackResult
+    from .pipeline import info as info
+    from .pipeline import read_layer as read_layer
+    from .pipeline import stack as stack
+    from .pipeline import write_image as write_image
+    from .porter_duff import OPERATORS as OPERATORS
+    from .spaces import SPACES as SPACES
+    from .stackfile import LayerSpec as LayerSpec
+
+# Where each name lives; the imports above say the same to type checkers.
+_HOME = {
+    "composite": ".compositing",
+    "hue_add": ".compositing",
+    "Losses": ".encoding",
+    "ExitCode": ".errors",
+    "HpcompError": ".errors",
+    "HpcompWarning": ".errors",
+    "InputError": ".errors",
+    "InputWarning": ".errors",
+    "MismatchError": ".errors",
+    "OutputError": ".errors",
+    "SettingError": ".errors",
+    "Window": ".geometry",
+    "ImageFile": ".imagefile",
+    "LayerImage": ".imagefile",
+    "ORDERS": ".orders",
+    "StackResult": ".pipeline",
+    "info": ".pipeline",
+    "read_layer": ".pipeline",
+    "stack": ".pipeline",
+    "write_image": ".pipeline",
+    "OPERATORS": ".porter_duff",
+    "SPACES": ".spaces",
+    "LayerSpec": ".stackfile",
+}
+
+__all__ = ["__version__", *_HOME]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME:
+        raise AttributeError(f"module 'hpcomp' has no attribute '{name}'")
+    value = getattr(import_module(_HOME[name], __name__), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

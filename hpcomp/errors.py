@@ -1,0 +1,100 @@
+"""What can go wrong, once for the whole package: the exceptions, their exit codes, the warnings."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterable
+from enum import IntEnum
+
+
+class ExitCode(IntEnum):
+    """The exit codes of the command: a stable interface for makefiles and scripts."""
+
+    DONE = 0
+    BUG = 1
+    USAGE = 2
+    INPUT = 3
+    MISMATCH = 4
+    OUTPUT = 5
+    CHECK = 6
+    INTERRUPTED = 130
+    PIPE_CLOSED = 141
+    TERMINATED = 143
+
+
+#: What each exit code tells the caller; the README and the man pages print this table.
+EXIT_CODE_MEANINGS: dict[ExitCode, str] = {
+    ExitCode.DONE: "done",
+    ExitCode.BUG: "a bug in hpcomp",
+    ExitCode.USAGE: "usage: an unknown option, key or value",
+    ExitCode.INPUT: "an input cannot be read",
+    ExitCode.MISMATCH: "the layers do not fit together, or a policy on pixels refuses them",
+    ExitCode.OUTPUT: "an output cannot be written",
+    ExitCode.CHECK: "a check failed",
+    ExitCode.INTERRUPTED: "interrupted (Ctrl-C)",
+    ExitCode.PIPE_CLOSED: "the reader of the output closed the pipe",
+    ExitCode.TERMINATED: "terminated (SIGTERM)",
+}
+
+
+class HpcompError(Exception):
+    """Any failure that hpcomp foresees; the message says what, where and what next."""
+
+    exit_code = ExitCode.BUG
+
+
+class SettingError(HpcompError, ValueError):
+    """A setting has a value that does not exist or is out of range."""
+
+    exit_code = ExitCode.USAGE
+
+
+class InputError(HpcompError):
+    """A file or stream cannot be read as a layer."""
+
+    exit_code = ExitCode.INPUT
+
+
+class MismatchError(HpcompError):
+    """Layers do not fit together, or a policy on pixels refuses them."""
+
+    exit_code = ExitCode.MISMATCH
+
+
+class OutputError(HpcompError):
+    """The result cannot be written."""
+
+    exit_code = ExitCode.OUTPUT
+
+
+class HpcompWarning(UserWarning):
+    """The result is made, but something in it is not as the user may expect."""
+
+
+class InputWarning(HpcompWarning):
+    """A file carries something that cannot be honoured, such as a foreign ICC profile."""
+
+
+class Notices:
+    """Where warnings go: Python's `warnings`, or errors where the run is strict."""
+
+    def __init__(self, strict: bool) -> None:
+        self.strict = strict
+
+    def warn(self, message: str, category: type[HpcompWarning] = HpcompWarning) -> None:
+        """Warns, or raises the error that the warning's category stands for."""
+        message = one_line(message)
+        if self.strict:
+            error = InputError if issubclass(category, InputWarning) else MismatchError
+            raise error(f"{message} (an error with --strict)")
+        warnings.warn(message, category, stacklevel=3)
+
+
+def one_line(text: str) -> str:
+    """A message as one printable line, whatever names from files it quotes."""
+    return "".join(c if c.isprintable() else " " if c == "\n" else ascii(c)[1:-1] for c in text)
+
+
+def unknown_name(kind: str, name: str, valid: Iterable[object]) -> SettingError:
+    """The error of every strict lookup: names what was asked for and lists what there is."""
+    return SettingError(f"unknown {kind} '{name}': choose one of {', '.join(map(str, valid))}")

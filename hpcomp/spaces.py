@@ -1,0 +1,93 @@
+"""Blending spaces: linear RGB to (Y, p) and back. What ⊕ does with p lives in `addition`.
+
+`Y` is the linear luminance and `p` the two chroma coordinates of a colour: its difference vector to
+the grey axis at the same luminance. The angle of p is the hue, its length the chroma.
+Arrays are planes first: `rgb` is (3, …), `p` is (2, …), so that each component is contiguous.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .errors import unknown_name
+
+Array = NDArray[np.floating[Any]]
+
+#: Luminance of the linear Rec. 709 primaries: the Y row of RGB→XYZ for the chromaticities of
+#: ITU-R BT.709 with D65 at (0.3127, 0.3290), here to 16 digits.
+REC709_WEIGHTS: tuple[float, float, float] = (
+    0.21263900587151036,
+    0.7151686787677559,
+    0.07219231536073371,
+)
+
+
+@dataclass(frozen=True)
+class Space:
+    """A blending space: two maps between linear premultiplied RGB and (Y, p), of degree 1.
+
+    `forward`: rgb (3, …), linear, unbounded → Y (…), p (2, …).
+    `inverse`: Y (…), p (2, …) → rgb (3, …).
+    Greys have p = 0 exactly, and p = 0 gives a grey exactly.
+    """
+
+    name: str
+    forward: Callable[[Array], tuple[Array, Array]]
+    inverse: Callable[[Array, Array], Array]
+
+
+def _plane_basis(weights: tuple[float, float, float]) -> NDArray[np.float64]:
+    """(2, 3): an orthonormal basis of the plane w·d = 0, its first axis towards red."""
+    w = np.array(weights)
+    to_red = np.array([1.0, 0.0, 0.0]) - w[0]
+    first = to_red / np.linalg.norm(to_red)
+    second = np.cross(w / np.linalg.norm(w), first)
+    return np.stack([first, second])
+
+
+def linear_rgb(weights: tuple[float, float, float] = REC709_WEIGHTS) -> Space:
+    """The paper's space: difference vectors to the grey axis in linear RGB.
+
+    `weights`: luminance of the three primaries, summing to 1. Chuang et al. 2009, §4.
+    """
+    basis = _plane_basis(weights)
+    w_red, _, w_blue = (float(w) for w in weights)
+    # The columns of basis · (I − 1 wᵀ) sum to zero, as do those of d: two differences to green
+    # carry all of p, and a grey gives exactly zero whatever its rounding.
+    columns = basis - basis.sum(axis=1, keepdims=True) * np.array(weights)
+
+    def forward(rgb: Array) -> tuple[Array, Array]:
+        red, green, blue = rgb
+        red_green, blue_green = red - green, blue - green
+        luminance = green + w_red * red_green + w_blue * blue_green
+        p = np.empty((2, *rgb.shape[1:]), rgb.dtype)
+        for axis in range(2):
+            np.multiply(red_green, float(columns[axis, 0]), out=p[axis])
+            p[axis] += blue_green * float(columns[axis, 2])
+        return luminance, p
+
+    def inverse(luminance: Array, p: Array) -> Array:
+        rgb = np.empty((3, *p.shape[1:]), p.dtype)
+        for channel in range(3):
+            np.multiply(p[0], float(basis[0, channel]), out=rgb[channel])
+            rgb[channel] += p[1] * float(basis[1, channel])
+            rgb[channel] += luminance
+        return rgb
+
+    return Space("linear-rgb", forward, inverse)
+
+
+SPACES: dict[str, Space] = {row.name: row for row in (linear_rgb(),)}
+
+
+def space(name: str) -> Space:
+    """The blending space of that name; `SettingError` lists the valid ones."""
+    try:
+        return SPACES[name]
+    except KeyError:
+        raise unknown_name("blending space", name, SPACES) from None
