@@ -1,0 +1,128 @@
+"""Windows of pixels and where a layer is placed: integer rectangles, no pixels."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+from .errors import SettingError, unknown_name
+
+
+@dataclass(frozen=True)
+class Window:
+    """A rectangle of pixels: its top-left pixel and its size; y grows downwards."""
+
+    x: int
+    y: int
+    width: int
+    height: int
+
+    def __str__(self) -> str:
+        return f"{self.width}x{self.height}{self.x:+d}{self.y:+d}"
+
+    @property
+    def right(self) -> int:
+        """The first column beyond the window."""
+        return self.x + self.width
+
+    @property
+    def bottom(self) -> int:
+        """The first row beyond the window."""
+        return self.y + self.height
+
+    def moved(self, dx: int, dy: int) -> Window:
+        return Window(self.x + dx, self.y + dy, self.width, self.height)
+
+    def union(self, other: Window) -> Window:
+        return _between(
+            min(self.x, other.x),
+            min(self.y, other.y),
+            max(self.right, other.right),
+            max(self.bottom, other.bottom),
+        )
+
+    def intersection(self, other: Window) -> Window | None:
+        """What both cover, or None where they do not touch."""
+        common = _between(
+            max(self.x, other.x),
+            max(self.y, other.y),
+            min(self.right, other.right),
+            min(self.bottom, other.bottom),
+        )
+        return common if common.width > 0 and common.height > 0 else None
+
+    def contains(self, other: Window) -> bool:
+        return self.intersection(other) == other
+
+
+def _between(left: int, top: int, right: int, bottom: int) -> Window:
+    return Window(left, top, right - left, bottom - top)
+
+
+_WINDOW = re.compile(r"(\d+)x(\d+)([+-]\d+)([+-]\d+)", re.ASCII)
+
+
+def parse_window(text: str) -> Window:
+    """A window from `WxH+X+Y`; `SettingError` otherwise, or where it holds no pixel."""
+    match = _WINDOW.fullmatch(text)
+    if not match:
+        raise SettingError(f"'{text}' is not a window: write WxH+X+Y, such as 640x480+0+0")
+    width, height, x, y = map(int, match.groups())
+    if not width or not height:
+        raise SettingError(f"window '{text}' holds no pixel: give it a width and a height")
+    return Window(x, y, width, height)
+
+
+#: Where in a reference window a layer sits: its share of the free space to the left and above.
+GRAVITIES: dict[str, tuple[float, float]] = {
+    "north-west": (0.0, 0.0),
+    "north": (0.5, 0.0),
+    "north-east": (1.0, 0.0),
+    "west": (0.0, 0.5),
+    "center": (0.5, 0.5),
+    "east": (1.0, 0.5),
+    "south-west": (0.0, 1.0),
+    "south": (0.5, 1.0),
+    "south-east": (1.0, 1.0),
+}
+
+
+@dataclass(frozen=True)
+class Placement:
+    """Where a layer's display window goes: at (x, y), or that far from where `gravity` puts it."""
+
+    gravity: str | None
+    x: int
+    y: int
+
+    def place(self, window: Window, reference: Window) -> Window:
+        """`window` moved to its place; `reference` is what a gravity refers to."""
+        if self.gravity is None:
+            return Window(self.x, self.y, window.width, window.height)
+        left, above = GRAVITIES[self.gravity]
+        # Half a pixel of free space goes to the right and below, as in ImageMagick.
+        return Window(
+            reference.x + int((reference.width - window.width) * left // 1) + self.x,
+            reference.y + int((reference.height - window.height) * above // 1) + self.y,
+            window.width,
+            window.height,
+        )
+
+
+_PLACEMENT = re.compile(r"([a-z-]*[a-z])?(?:([+-]\d+)([+-]\d+))?", re.ASCII)
+
+
+def parse_placement(text: str) -> Placement:
+    """A placement from `+X+Y`, a gravity, or a gravity with an offset such as `south+0-10`.
+
+    Offsets count pixels to the right and downwards, whatever the gravity.
+    """
+    match = _PLACEMENT.fullmatch(text)
+    if not match or not text:
+        raise SettingError(
+            f"'{text}' is not a place: write +X+Y, or a gravity such as center or south+0-10"
+        )
+    gravity, x, y = match.groups()
+    if gravity is not None and gravity not in GRAVITIES:
+        raise unknown_name("gravity", gravity, GRAVITIES)
+    return Placement(gravity, int(x or 0), int(y or 0))

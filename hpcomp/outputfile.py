@@ -1,0 +1,107 @@
+"""Outputs that appear whole or not at all: written beside their place, then renamed."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+import stat
+import sys
+import tempfile
+from collections.abc import Iterator
+
+from .errors import OutputError
+
+STDOUT = "-"
+
+
+@contextlib.contextmanager
+def whole_output(target: str, *, clobber: bool = True) -> Iterator[str]:
+    """Gives a temporary path to write to, and puts what was written at `target` on success.
+
+    `target`: a path; `-` for stdout; links are followed; devices and pipes are written through.
+    On any exception the temporary file is removed and `target` stays as it was.
+    Errors: `OutputError` where the directory is missing or not writable, where `target` is a
+    directory, or where it exists and `clobber` is off.
+    """
+    stream = target == STDOUT
+    place = target if stream else os.path.realpath(target)
+    special = stream
+    label = "stdout" if stream else target
+    if stream and sys.stdout is None:
+        raise OutputError(f"{label} is closed: give it a reader, or name a file")
+    if not stream:
+        special = _check_place(target, place, clobber)
+    directory = None if special else os.path.dirname(place)
+    try:
+        handle, temporary = tempfile.mkstemp(
+            prefix=f".{os.path.basename(place)}." if not special else "hpcomp.", dir=directory
+        )
+    except OSError as reason:
+        where = tempfile.gettempdir() if directory is None else os.path.dirname(target) or "."
+        raise OutputError(
+            f"{target}: cannot write in the directory {where}: {_why(reason)}"
+        ) from None
+    os.close(handle)
+    try:
+        yield temporary
+        try:
+            if stream:
+                sys.stdout.flush()
+                with open(temporary, "rb") as written:
+                    shutil.copyfileobj(written, sys.stdout.buffer, 1 << 20)
+                sys.stdout.buffer.flush()
+            elif special:
+                with open(temporary, "rb") as written, open(place, "wb") as device:
+                    shutil.copyfileobj(written, device, 1 << 20)
+            else:
+                if not clobber and os.path.lexists(place):
+                    raise _exists(target)
+                os.chmod(temporary, _mode(place))
+                os.replace(temporary, place)
+        except BrokenPipeError:
+            raise
+        except OSError as reason:
+            raise OutputError(f"{label}: cannot be written: {_why(reason)}") from None
+    finally:
+        with contextlib.suppress(FileNotFoundError):
+            os.unlink(temporary)
+
+
+def _check_place(target: str, place: str, clobber: bool) -> bool:
+    """Whether `place` is a device or pipe, to be written through rather than replaced."""
+    try:
+        mode = os.stat(place).st_mode
+    except FileNotFoundError:
+        directory = os.path.dirname(place)
+        if not os.path.isdir(directory):
+            shown = os.path.dirname(target) or "."
+            raise OutputError(f"{target}: there is no directory {shown}: make it first") from None
+        return False
+    except OSError as reason:
+        raise OutputError(f"{target}: cannot be written: {_why(reason)}") from None
+    if stat.S_ISDIR(mode):
+        raise OutputError(f"{target} is a directory: name a file in it")
+    if not stat.S_ISREG(mode):
+        return True
+    if not clobber:
+        raise _exists(target)
+    return False
+
+
+def _exists(target: str) -> OutputError:
+    return OutputError(f"{target} exists and --no-clobber keeps it: choose another output")
+
+
+def _mode(place: str) -> int:
+    """The permissions of what stands there, or those that the umask gives a new file."""
+    try:
+        return stat.S_IMODE(os.stat(place).st_mode)
+    except FileNotFoundError:
+        umask = os.umask(0)
+        os.umask(umask)
+        return 0o666 & ~umask
+
+
+def _why(reason: OSError) -> str:
+    return (reason.strerror or str(reason)).lower()

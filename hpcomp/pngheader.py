@@ -1,0 +1,203 @@
+"""The chunks of a PNG file: checksums, and what they say of colour and pixel shape. No pixels.
+
+Image libraries ignore damage outside the pixels and disagree about colour chunks; here every
+checksum is verified and each chunk is taken for what the PNG specification (third edition) says.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import BinaryIO
+
+import numpy as np
+
+from . import iccprofile
+from .encoding import (
+    LINEAR,
+    PRIMARIES,
+    REC709_CAMERA,
+    SRGB,
+    SRGB_ENCODING,
+    ColorEncoding,
+    Primaries,
+    Transfer,
+    gamma,
+    primaries_from_xy,
+)
+from .errors import InputError
+
+SIGNATURE = b"\x89PNG\r\n\x1a\n"
+
+#: Chunks whose content is kept; the others are only verified.
+_KEPT = {b"IHDR", b"tRNS", b"gAMA", b"cHRM", b"sRGB", b"iCCP", b"cICP", b"pHYs"}
+_PIECE_BYTES = 1 << 20
+#: No display profile is larger; a hostile one is not unpacked beyond it.
+_PROFILE_BYTES = 1 << 24
+
+#: ITU-T H.273 code points that an SDR picture can carry: colour primaries, transfer curve.
+_CICP_PRIMARIES: dict[int, Primaries] = {
+    1: PRIMARIES["rec709"],
+    9: PRIMARIES["rec2020"],
+    12: PRIMARIES["display-p3"],
+}
+_CICP_TRANSFER: dict[int, Transfer] = {
+    1: REC709_CAMERA,
+    6: REC709_CAMERA,
+    8: LINEAR,
+    13: SRGB,
+    14: REC709_CAMERA,
+    15: REC709_CAMERA,
+}
+
+
+@dataclass(frozen=True)
+class PngHeader:
+    """What the chunks around the pixels say."""
+
+    width: int
+    height: int
+    interlaced: bool
+    chunks: dict[bytes, bytes] = field(repr=False)
+
+    @property
+    def pixels_per_metre(self) -> tuple[int, int] | None:
+        """pHYs where it has a unit."""
+        density = self.chunks.get(b"pHYs", b"")
+        if len(density) != 9 or density[8] != 1:
+            return None
+        x, y = struct.unpack(">II", density[:8])
+        return (x, y) if x and y else None
+
+    @property
+    def pixel_aspect(self) -> float:
+        """Width of a pixel over its height."""
+        density = self.chunks.get(b"pHYs", b"")
+        x, y = struct.unpack(">II", density[:8]) if len(density) == 9 else (1, 1)
+        return y / x if x and y else 1.0
+
+    def color(self) -> tuple[ColorEncoding, str, list[str]]:
+        """(encoding, what it was read from, what cannot be honoured).
+
+        Precedence: cICP, iCCP, sRGB, gAMA and cHRM, else sRGB. What is not honoured falls through
+        to the next.
+        """
+        problems: list[str] = []
+        for chunk, reader in _COLOR_CHUNKS:
+            if chunk in self.chunks:
+                try:
+                    return reader(self.chunks), _SOURCES[chunk], problems
+                except ValueError as reason:
+                    problems.append(str(reason))
+        return SRGB_ENCODING, "default", problems
+
+
+def _from_cicp(chunks: dict[bytes, bytes]) -> ColorEncoding:
+    data = chunks[b"cICP"]
+    if len(data) != 4:
+        raise ValueError("a cICP chunk that is not 4 bytes long")
+    primaries, transfer, matrix, full_range = data
+    if (
+        primaries in _CICP_PRIMARIES
+        and transfer in _CICP_TRANSFER
+        and (matrix, full_range) == (0, 1)
+    ):
+        return ColorEncoding(_CICP_TRANSFER[transfer], _CICP_PRIMARIES[primaries])
+    raise ValueError(f"cICP {primaries}/{transfer}/{matrix}/{full_range}")
+
+
+def _from_iccp(chunks: dict[bytes, bytes]) -> ColorEncoding:
+    name, _, rest = chunks[b"iCCP"].partition(b"\0")
+    try:
+        profile = zlib.decompressobj().decompress(rest[1:], _PROFILE_BYTES)
+    except zlib.error:
+        raise ValueError("an ICC profile that does not decompress") from None
+    if iccprofile.is_srgb(profile):
+        return SRGB_ENCODING
+    label = iccprofile.description(profile) or name.decode("latin-1")
+    raise ValueError(f"the ICC profile '{label}' (not sRGB)")
+
+
+def _from_srgb(chunks: dict[bytes, bytes]) -> ColorEncoding:
+    return SRGB_ENCODING
+
+
+def _from_gama_chrm(chunks: dict[bytes, bytes]) -> ColorEncoding:
+    transfer, primaries = SRGB, SRGB_ENCODING.primaries
+    if b"gAMA" in chunks:
+        data = chunks[b"gAMA"]
+        exponent = struct.unpack(">I", data)[0] if len(data) == 4 else 0
+        if not exponent:
+            raise ValueError("a gAMA chunk that is zero or not 4 bytes long")
+        transfer = gamma(100000 / exponent)
+    if b"cHRM" in chunks:
+        data = chunks[b"cHRM"]
+        if len(data) != 32:
+            raise ValueError("a cHRM chunk that is not 32 bytes long")
+        white, *rgb = np.array(struct.unpack(">8i", data)).reshape(4, 2) / 100000
+        primaries = primaries_from_xy([*rgb, white])
+    return ColorEncoding(transfer, primaries)
+
+
+_COLOR_CHUNKS = (
+    (b"cICP", _from_cicp),
+    (b"iCCP", _from_iccp),
+    (b"sRGB", _from_srgb),
+    (b"gAMA", _from_gama_chrm),
+    (b"cHRM", _from_gama_chrm),
+)
+_SOURCES = {
+    b"cICP": "cICP",
+    b"iCCP": "iCCP",
+    b"sRGB": "sRGB chunk",
+    b"gAMA": "gAMA and cHRM",
+    b"cHRM": "gAMA and cHRM",
+}
+
+
+def read_header(path: str) -> PngHeader:
+    """Walks a PNG from its signature to IEND, checking every chunk's CRC.
+
+    Errors: `InputError` (without the file's name) that says which chunk is damaged or missing.
+    """
+    kept: dict[bytes, bytes] = {}
+    kinds = set()
+    with open(path, "rb") as file:
+        if file.read(8) != SIGNATURE:
+            raise InputError("not a PNG file: its signature is damaged")
+        for kind, data in _chunks(file):
+            kinds.add(kind)
+            if kind in _KEPT and kind not in kept:
+                kept[kind] = data
+    if len(kept.get(b"IHDR", b"")) != 13 or b"IDAT" not in kinds:
+        raise InputError("damaged PNG: it has no image data")
+    width, height = struct.unpack(">II", kept[b"IHDR"][:8])
+    return PngHeader(width, height, kept[b"IHDR"][12] == 1, kept)
+
+
+def _chunks(file: BinaryIO) -> Iterator[tuple[bytes, bytes]]:
+    kind = b""
+    while kind != b"IEND":
+        head = file.read(8)
+        if len(head) < 8:
+            raise InputError("truncated PNG: it ends before its IEND chunk")
+        left, kind = struct.unpack(">I4s", head)
+        checksum = zlib.crc32(kind)
+        data = b""
+        while left:
+            piece = file.read(min(left, _PIECE_BYTES))
+            if not piece:
+                raise InputError(f"truncated PNG: it ends inside {_shown(kind)}")
+            checksum = zlib.crc32(piece, checksum)
+            left -= len(piece)
+            if kind in _KEPT:
+                data += piece
+        if file.read(4) != struct.pack(">I", checksum):
+            raise InputError(f"damaged PNG: the checksum of {_shown(kind)} is wrong")
+        yield kind, data
+
+
+def _shown(kind: bytes) -> str:
+    return f"its {kind.decode()} chunk" if kind.isalpha() and kind.isascii() else "a chunk"
