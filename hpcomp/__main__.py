@@ -1,0 +1,5 @@
+"""`python -m hpcomp` is the `hpcomp` command."""
+
+from .cli import run
+
+run()

@@ -1,0 +1,142 @@
+"""The `hpcomp` command: its subcommands by name, and how a run ends. Nothing is computed here."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import sys
+from importlib import import_module
+from types import FrameType
+from typing import TextIO
+
+import click
+
+from .. import __version__
+from ..errors import EXIT_CODE_MEANINGS, ExitCode, HpcompError, one_line
+
+#: The subcommands: the module of each, which is imported when it is called, and its one-line help.
+COMMANDS: dict[str, tuple[str, str]] = {
+    "stack": ("stack", "Composite layers, bottom first, into one picture."),
+    "info": ("info", "Say what image files hold and how they will be read."),
+    "completion": ("completion", "Print the completion script of a shell."),
+}
+
+
+class Terminated(BaseException):
+    """SIGTERM or SIGHUP: unwinds like Ctrl-C, so that temporary files are removed."""
+
+    def __init__(self, signal_number: int) -> None:
+        self.exit_code = 128 + signal_number
+
+
+class LazyGroup(click.Group):
+    """A group whose commands are imported when they are called: `--help` imports click alone."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return list(COMMANDS)
+
+    def get_command(self, ctx: click.Context, name: str) -> click.Command | None:
+        if name not in COMMANDS:
+            return None
+        module = import_module(f".{COMMANDS[name][0]}", __name__)
+        command: click.Command = module.command
+        return command
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        with formatter.section("Commands"):
+            formatter.write_dl([(name, help_line) for name, (_, help_line) in COMMANDS.items()])
+
+    def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        with formatter.section("Exit codes"):
+            formatter.write_dl([(str(int(k)), v) for k, v in EXIT_CODE_MEANINGS.items()])
+
+
+@click.group(
+    cls=LazyGroup,
+    no_args_is_help=False,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+)
+@click.version_option(
+    __version__, prog_name="hpcomp", message="%(prog)s %(version)s (engine: reference)"
+)
+def cli() -> None:
+    """Composite translucent label layers so that every hue that appears is one that went in.
+
+    Layers are PNG or EXR files. Where they overlap, colours are added with the hue-preserving ⊕
+    of Chuang, Weiskopf and Möller (2009), in linear light, for any Porter–Duff operator.
+    `hpcomp COMMAND --help` explains a command.
+    """
+
+
+def run(arguments: list[str] | None = None) -> None:
+    """The console script: runs one command and ends the process with its exit code."""
+    arguments = sys.argv[1:] if arguments is None else arguments
+    debug = "--debug" in arguments
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        if signal.getsignal(number) is signal.SIG_DFL:  # `nohup` wants SIGHUP ignored
+            signal.signal(number, _terminate)
+    messages = _private_stderr() if not debug else sys.stderr
+    try:
+        code = _exit_code(arguments, messages, debug)
+        if sys.stdout is not None:  # it may have been closed from the start
+            sys.stdout.flush()
+    except BrokenPipeError:
+        # Python flushes stdout once more at exit, into a pipe that nobody reads.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+        code = ExitCode.PIPE_CLOSED
+    sys.exit(int(code))
+
+
+def _terminate(signal_number: int, frame: FrameType | None) -> None:
+    raise Terminated(signal_number)
+
+
+def _exit_code(arguments: list[str], messages: TextIO | None, debug: bool) -> int:
+    """Runs the command; what goes wrong becomes one line and an exit code."""
+    try:
+        # A command that calls ctx.exit() makes its code the result of main().
+        code = cli.main(arguments, prog_name="hpcomp", standalone_mode=False)
+        return code if isinstance(code, int) else ExitCode.DONE
+    except click.UsageError as error:
+        if error.ctx is not None:
+            _say(messages, error.ctx.get_usage())
+        _say(messages, f"hpcomp: error: {error.format_message()}")
+        return ExitCode.USAGE
+    except HpcompError as error:
+        if debug:
+            raise
+        _say(messages, f"hpcomp: error: {error}")
+        return error.exit_code
+    except (KeyboardInterrupt, click.Abort):
+        _say(messages, "hpcomp: interrupted")
+        return ExitCode.INTERRUPTED
+    except Terminated as error:
+        return error.exit_code
+    except (BrokenPipeError, SystemExit):
+        raise BrokenPipeError from None  # SystemExit is click's own answer to a closed pipe
+    except Exception as error:
+        if debug:
+            raise
+        what = f"{type(error).__name__}: {error}"
+        _say(messages, f"hpcomp: bug: {what}; please report it with what --debug prints")
+        return ExitCode.BUG
+
+
+def _say(messages: TextIO | None, text: str) -> None:
+    with contextlib.suppress(OSError, ValueError):
+        if messages is not None:
+            print(one_line(text), file=messages, flush=True)
+
+
+def _private_stderr() -> TextIO | None:
+    """A stderr of our own: what codec libraries print to file descriptor 2 goes nowhere."""
+    try:
+        ours = os.dup(2)
+    except OSError:
+        return None  # stderr is closed
+    silence = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(silence, 2)
+    os.close(silence)
+    sys.stderr = open(ours, "w", encoding="utf-8", errors="backslashreplace", buffering=1)  # noqa: SIM115
+    return sys.stderr

@@ -1,0 +1,48 @@
+"""`hpcomp info`: prints how files will be read, as text or JSON."""
+
+from __future__ import annotations
+
+import json
+import sys
+
+import click
+
+from .options import Command, message_options, print_data
+
+
+@click.command(
+    "info", cls=Command, short_help="Say what image files hold and how they will be read."
+)
+@click.argument("files", metavar="FILE...", nargs=-1, required=True, type=click.Path())
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON document for all files.")
+@message_options
+@click.pass_context
+def command(ctx: click.Context, files: tuple[str, ...], as_json: bool) -> None:
+    """Say what image files hold and how they will be read.
+
+    Parts, channels, windows, depth, alpha, light and primaries, and where each was read from.
+    Files that cannot be read are named on stderr; the exit code is then 3.
+    """
+    from ..errors import InputError, one_line
+    from ..pipeline import info
+    from ..report import fileinfo
+
+    described, failures = [], []
+    for path in files:
+        try:
+            described.append(info(path))
+        except InputError as error:
+            failures.append(error)
+    if as_json:
+        document = {
+            "schema": "hpcomp.info",
+            "version": fileinfo.SCHEMA_VERSION,
+            "files": [fileinfo.as_data(file) for file in described],
+        }
+        print_data(json.dumps(document, indent=2))
+    elif described:
+        print_data("\n\n".join(fileinfo.as_text(file) for file in described))
+    for failure in failures:
+        print(one_line(f"hpcomp: error: {failure}"), file=sys.stderr)
+    if failures:
+        ctx.exit(int(InputError.exit_code))

@@ -1,0 +1,500 @@
+"""One stack, strip by strip, from files to a file: who holds which rows when."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import os
+import re
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from .addition import DEFAULT_HUE_TOLERANCE
+from .canvas import LayerWindows, lay_out, output_window, parse_canvas
+from .compositing import StackRules, stack_rules, start
+from .encoding import LARGEST_HALF, Losses, parse_hex_color
+from .errors import InputWarning, MismatchError, Notices, SettingError, unknown_name
+from .geometry import Window, parse_window
+from .imagefile import (
+    NONFINITE_POLICIES,
+    STDIN,
+    STRIP_ROWS,
+    ImageFile,
+    ImageWriter,
+    LayerImage,
+    LayerReader,
+    OutputForm,
+    Rgba,
+    choose,
+    describe,
+    format_of_output,
+    seekable,
+)
+from .outputfile import whole_output
+from .stackfile import LayerSpec, layer_spec
+from .workers import Workers, strips_in_flight
+
+log = logging.getLogger("hpcomp")
+
+Layer = LayerSpec | str | os.PathLike[str]
+
+DEFAULT_MAX_MEMORY = "1G"
+
+#: Float32 RGBA.
+RGBA_BYTES = 16
+#: Strips beside those of the layers: the accumulator, its result, and the one being written.
+ACCUMULATOR_STRIPS = 4
+
+
+@dataclass(frozen=True)
+class StackResult:
+    """What `stack` wrote: the file, its windows, and what the file could not hold."""
+
+    output: str
+    canvas: Window
+    data_window: Window
+    losses: Losses
+
+
+def stack(
+    layers: Sequence[Layer],
+    output: str | os.PathLike[str],
+    *,
+    format: str | None = None,
+    op: str = "over",
+    blending: str = "hue-preserving",
+    order: str | Sequence[int] = "bottom-up",
+    space: str = "linear-rgb",
+    hue_tolerance: float = DEFAULT_HUE_TOLERANCE,
+    depth: str | int | None = None,
+    compression: str | int | None = None,
+    exposure: float = 0.0,
+    region: str | Window | None = None,
+    clobber: bool = True,
+    canvas: str | Window = "bottom",
+    overscan: bool = False,
+    background: str | Sequence[float] | None = None,
+    nonfinite: str = "error",
+    strict: bool = False,
+    threads: int | None = None,
+    max_memory: str | int = DEFAULT_MAX_MEMORY,
+) -> StackResult:
+    """Composites layer files, bottom first, into one file.
+
+    `layers`: LAYER strings, paths or `LayerSpec`. `output`: a path ending in .png or .exr, or `-`
+    for stdout with `format`. The options are those of `hpcomp stack` and mean the same;
+    `background` is a CSS hex colour or straight linear RGB, `max_memory` bytes or `512M`, `1G`.
+    Nothing but a complete picture appears at `output`.
+    Errors: `SettingError`, `InputError`, `MismatchError`, `OutputError`.
+    Warnings: `HpcompWarning`; errors with `strict`.
+    """
+    specs = [_numbered(number, layer) for number, layer in enumerate(layers)]
+    output = os.fspath(output)
+    rules = _rules(specs, op, blending, order, space, hue_tolerance, background, exposure)
+    form = OutputForm.checked(format_of_output(output, format), depth, compression)
+    if overscan and form.format == "png":
+        raise SettingError("a PNG ends at its canvas: --overscan needs an EXR output")
+    wanted_canvas = parse_canvas(canvas)
+    wanted_region = parse_window(region) if isinstance(region, str) else region
+    if nonfinite not in NONFINITE_POLICIES:
+        raise unknown_name("nonfinite policy", nonfinite, NONFINITE_POLICIES)
+    n_threads = _thread_count(threads)
+    budget = parse_bytes(max_memory)
+    if [spec.path for spec in specs].count(STDIN) > 1:
+        raise SettingError("stdin can be only one of the layers")
+
+    notices = Notices(strict)
+    shown = "stdout" if output == STDIN else output
+    with contextlib.ExitStack() as opened:
+        target = opened.enter_context(whole_output(output, clobber=clobber))
+        readers = [
+            opened.enter_context(_opened_layer(spec, spec.label(number), nonfinite))
+            for number, spec in enumerate(specs)
+        ]
+        _warn_of_layers(rules, readers, notices)
+        placed_on, placed = _placed(specs, readers, wanted_canvas)
+        window = output_window(
+            placed_on, [layer.window for layer in placed], overscan, wanted_region
+        )
+        strip_rows = _strip_rows(placed, window, rules, form, n_threads, budget)
+        log.info(
+            "%d layers on canvas %s, %s, order %s",
+            len(specs),
+            placed_on,
+            blending,
+            rules.order.name,
+        )
+        log.info("writing %s in strips of %d rows with %d threads", window, strip_rows, n_threads)
+        bottom = readers[0].part
+        writer = ImageWriter(
+            target,
+            form,
+            window,
+            placed_on,
+            pixel_aspect=bottom.pixel_aspect,
+            pixels_per_metre=bottom.pixels_per_metre,
+            label=shown,
+        )
+        try:
+            _run(placed, rules, window, strip_rows, writer, n_threads)
+            writer.finish()
+        finally:
+            writer.abandon()
+        _warn_of_zeroed(readers, notices)
+        _warn_of_losses(shown, writer.losses, notices)
+    return StackResult(output, placed_on, window, writer.losses)
+
+
+def read_layer(
+    path: str | os.PathLike[str],
+    *,
+    part: str | int | None = None,
+    layer: str | None = None,
+    alpha: str | None = None,
+    colorspace: str | None = None,
+    nonfinite: str = "error",
+    strict: bool = False,
+) -> LayerImage:
+    """Reads one layer whole, as `stack` would.
+
+    `path`: a file or a LAYER string; the keywords override its settings and mean the same.
+    `nonfinite`: `error`, `zero` or `keep`, for NaN and Inf.
+    Returns: pixels (height, width, 4) float32, linear Rec. 709, premultiplied, over `data_window`.
+    Errors: `SettingError`, `InputError`, `MismatchError`. Warnings: `HpcompWarning`.
+    """
+    spec = layer_spec(path)
+    spec = replace(
+        spec,
+        part=spec.part if part is None else str(part),
+        layer=spec.layer if layer is None else layer,
+        alpha=alpha or spec.alpha,
+        colorspace=colorspace or spec.colorspace,
+    )
+    notices = Notices(strict)
+    with _opened_layer(spec, spec.path, nonfinite) as reader:
+        window = reader.window
+        pixels = np.empty((window.height, window.width, 4), np.float32)
+        for begin, end in _strips(window, STRIP_ROWS):
+            pixels[begin - window.y : end - window.y] = reader.read_rows(begin, end)
+        _warn_of_problems(reader, notices)
+        _warn_of_zeroed([reader], notices)
+        return LayerImage(pixels, window, reader.part.display_window)
+
+
+def write_image(
+    path: str | os.PathLike[str],
+    pixels: Any,
+    *,
+    format: str | None = None,
+    depth: str | int | None = None,
+    compression: str | int | None = None,
+    data_window: Window | None = None,
+    display_window: Window | None = None,
+    clobber: bool = True,
+    strict: bool = False,
+) -> Losses:
+    """Writes one picture, as `stack` would: PNG straight sRGB, EXR linear and premultiplied.
+
+    `pixels`: (height, width, 4), linear Rec. 709, premultiplied, alpha in [0, 1].
+    `data_window`: where the pixels lie, +0+0 if not given; `display_window`: as `data_window`.
+    Returns: the counts of pixels that the file could not hold as they are.
+    Errors: `SettingError`, `MismatchError`, `OutputError`. Warnings: `HpcompWarning`.
+    """
+    path = os.fspath(path)
+    rgba = np.ascontiguousarray(pixels, np.float32)
+    if rgba.ndim != 3 or rgba.shape[2] != 4 or 0 in rgba.shape:
+        raise MismatchError(f"pixels have shape {rgba.shape}: height, width and 4 are needed")
+    form = OutputForm.checked(format_of_output(path, format), depth, compression)
+    window = data_window or Window(0, 0, rgba.shape[1], rgba.shape[0])
+    if (window.height, window.width) != rgba.shape[:2]:
+        raise MismatchError(f"data window {window} does not fit pixels of shape {rgba.shape}")
+    rgba = np.concatenate([rgba[..., :3], np.clip(rgba[..., 3:], 0, 1)], axis=2)
+    notices = Notices(strict)
+    with whole_output(path, clobber=clobber) as target:
+        writer = ImageWriter(target, form, window, display_window or window, label=path)
+        try:
+            for begin, end in _strips(window, STRIP_ROWS):
+                writer.write_rows(begin, rgba[begin - window.y : end - window.y])
+            writer.finish()
+        finally:
+            writer.abandon()
+        _warn_of_losses(path, writer.losses, notices)
+    return writer.losses
+
+
+def info(path: str | os.PathLike[str]) -> ImageFile:
+    """What a file holds and how it will be read, from its headers. Errors: `InputError`."""
+    path = os.fspath(path)
+    label = "stdin" if path == STDIN else path
+    with seekable(path, label) as readable:
+        return replace(describe(readable, label), path=label)
+
+
+# --- settings -------------------------------------------------------------------------------------
+
+
+def _numbered(number: int, layer: Layer) -> LayerSpec:
+    try:
+        return layer_spec(layer)
+    except SettingError as problem:
+        raise SettingError(f"layer {number} ({layer}): {problem}") from None
+
+
+def _rules(
+    specs: Sequence[LayerSpec],
+    op: str,
+    blending: str,
+    order: str | Sequence[int],
+    space: str,
+    hue_tolerance: float,
+    background: str | Sequence[float] | None,
+    exposure: float,
+) -> StackRules:
+    return stack_rules(
+        len(specs),
+        op=[spec.op or (op if number else None) for number, spec in enumerate(specs)],
+        opacity=[spec.opacity for spec in specs],
+        blending=blending,
+        order=order,
+        space=space,
+        hue_tolerance=hue_tolerance,
+        background=parse_hex_color(background) if isinstance(background, str) else background,
+        exposure=exposure,
+    )
+
+
+def _thread_count(threads: int | None) -> int:
+    if threads is None:
+        return (
+            len(os.sched_getaffinity(0))
+            if hasattr(os, "sched_getaffinity")
+            else os.cpu_count() or 1
+        )
+    if threads < 1:
+        raise SettingError(f"threads {threads} is below 1")
+    return threads
+
+
+_BYTES = re.compile(r"(\d+(?:\.\d+)?)\s*([KMGT]?)(?:i?B)?", re.IGNORECASE | re.ASCII)
+
+
+def parse_bytes(text: str | int) -> int:
+    """A number of bytes from `64M`, `1.5G` or a plain number; powers of 1024."""
+    match = _BYTES.fullmatch(str(text))
+    if not match:
+        raise SettingError(f"'{text}' is not an amount of memory: write 512M or 2G")
+    number, unit = match.groups()
+    return int(float(number) * 1024 ** " KMGT".index(unit.upper() or " "))
+
+
+# --- layers ---------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class PlacedLayer:
+    """An open layer and how far its file's coordinates move to the canvas."""
+
+    reader: LayerReader
+    dx: int
+    dy: int
+
+    @property
+    def window(self) -> Window:
+        """Its pixels, in canvas coordinates."""
+        return self.reader.window.moved(self.dx, self.dy)
+
+    def read(self, rows: Window) -> Rgba:
+        """(pixels of `rows`, 4): the layer where it has pixels, transparent elsewhere."""
+        strip = np.zeros((rows.height, rows.width, 4), np.float32)
+        common = self.window.intersection(rows)
+        if common is not None:
+            begin = common.y - self.dy
+            left = common.x - self.window.x
+            pixels = self.reader.read_rows(begin, begin + common.height)
+            top, column = common.y - rows.y, common.x - rows.x
+            strip[top : top + common.height, column : column + common.width] = pixels[
+                :, left : left + common.width
+            ]
+        return strip.reshape(-1, 4)
+
+
+@contextlib.contextmanager
+def _opened_layer(spec: LayerSpec, label: str, nonfinite: str) -> Iterator[LayerReader]:
+    with seekable(spec.path, label) as path:
+        file = describe(path, label)
+        part, group = choose(file, part=spec.part, layer=spec.layer, label=label)
+        reader = LayerReader(
+            file,
+            part,
+            group,
+            alpha=spec.alpha,
+            colorspace=spec.colorspace,
+            nonfinite=nonfinite,
+            label=label,
+        )
+        try:
+            yield reader
+        finally:
+            reader.close()
+
+
+def _placed(
+    specs: Sequence[LayerSpec], readers: Sequence[LayerReader], canvas: str | Window
+) -> tuple[Window, list[PlacedLayer]]:
+    """The canvas, and the layers on it."""
+    found = lay_out(
+        [
+            LayerWindows(r.label, r.part.display_window, r.window, spec.placement)
+            for spec, r in zip(specs, readers, strict=True)
+        ],
+        canvas,
+    )
+    layers = [PlacedLayer(r, *offset) for r, offset in zip(readers, found.offsets, strict=True)]
+    return found.window, layers
+
+
+def _warn_of_layers(rules: StackRules, readers: Sequence[LayerReader], notices: Notices) -> None:
+    for operator, reader in zip(rules.operators, readers, strict=True):
+        _warn_of_problems(reader, notices)
+        if operator is not None and operator.needs_alpha and not reader.has_alpha:
+            notices.warn(
+                f"{reader.label} has no alpha, so '{operator.name}' does nothing useful with it: "
+                "alpha=luminance makes one of its light"
+            )
+        if reader.part.pixel_aspect != readers[0].part.pixel_aspect:
+            notices.warn(
+                f"{reader.label} has pixels of aspect {reader.part.pixel_aspect:g}, the bottom "
+                f"layer of {readers[0].part.pixel_aspect:g}: resample it first"
+            )
+
+
+def _warn_of_problems(reader: LayerReader, notices: Notices) -> None:
+    for problem in reader.problems:
+        notices.warn(f"{reader.label}: {problem}; read as {reader.encoding}", InputWarning)
+
+
+def _warn_of_zeroed(readers: Sequence[LayerReader], notices: Notices) -> None:
+    for reader in readers:
+        if reader.zeroed_pixels:
+            notices.warn(
+                f"{reader.label}: {_count(reader.zeroed_pixels)} NaN or infinite "
+                "and became transparent"
+            )
+
+
+def _warn_of_losses(label: str, losses: Losses, notices: Notices) -> None:
+    for count, what in (
+        (losses.out_of_gamut, "outside the gamut and lost saturation or brightness: "
+                              "write EXR to keep them, or lower --exposure"),
+        (losses.light_without_alpha, "light without alpha, which PNG cannot hold: "
+                                     "put a --background under them, or write EXR"),
+        (losses.not_a_number, "NaN and became transparent"),
+        (losses.beyond_half, f"beyond what half-floats hold and became {LARGEST_HALF:g}: "
+                             "write --depth float"),
+    ):  # fmt: skip
+        if count:
+            notices.warn(f"{label}: {_count(count)} {what}")
+
+
+def _count(pixels: int) -> str:
+    return "1 pixel is" if pixels == 1 else f"{pixels} pixels are"
+
+
+# --- strips ---------------------------------------------------------------------------------------
+
+
+def _strips(window: Window, rows: int) -> Iterator[tuple[int, int]]:
+    for begin in range(window.y, window.bottom, rows):
+        yield begin, min(begin + rows, window.bottom)
+
+
+def _strip_rows(
+    layers: Sequence[PlacedLayer],
+    window: Window,
+    rules: StackRules,
+    form: OutputForm,
+    threads: int,
+    max_memory: int,
+) -> int:
+    """How many rows at a time fit `max_memory`: whole compression blocks, and not needlessly many.
+
+    Errors: `MismatchError` that names the least memory this stack can be made in.
+    """
+    ahead = strips_in_flight(threads)
+    widest = max(layer.reader.bytes_per_row for layer in layers)
+    held = len(layers) if rules.holds_all_layers else 0
+    per_row = (
+        ahead * (widest + RGBA_BYTES * window.width)
+        + (held + ACCUMULATOR_STRIPS) * RGBA_BYTES * window.width
+    )
+    fixed = (
+        sum(layer.reader.bytes_held for layer in layers)
+        + threads * max(layer.reader.bytes_to_decode for layer in layers)
+        + form.bytes_to_encode(window.width)
+    )
+    if fixed + per_row > max_memory:
+        least = -(-(fixed + per_row) // 2**20)
+        raise MismatchError(
+            f"this stack needs at least {least}M, {len(layers)} layers of it being read "
+            f"{max(layer.reader.part.rows_per_block for layer in layers)} rows at a time: "
+            f"raise --max-memory {max_memory / 2**20:.3g}M"
+        )
+    rows = (max_memory - fixed) // per_row
+    block = max(layer.reader.part.rows_per_block for layer in layers)
+    if block > window.height:
+        block = 1
+    wanted = -(-STRIP_ROWS // block) * block
+    if rows >= block:
+        rows -= rows % block
+    return int(min(rows, wanted))
+
+
+def _run(
+    layers: Sequence[PlacedLayer],
+    rules: StackRules,
+    window: Window,
+    strip_rows: int,
+    writer: ImageWriter,
+    threads: int,
+) -> None:
+    """Reads ahead in `threads` threads, composites here, and writes one strip behind."""
+    strips = [
+        Window(window.x, begin, window.width, end - begin)
+        for begin, end in _strips(window, strip_rows)
+    ]
+    reads = [
+        (number, partial(layers[number].read, rows)) for rows in strips for number in rules.arrival
+    ]
+    seconds = {"reading": 0.0, "compositing": 0.0, "writing": 0.0}
+    with Workers[Rgba](threads) as workers:
+        arriving = workers.read_ahead(reads)
+        for rows in strips:
+            accumulator = start(rules, rows.width * rows.height)
+            for number in rules.arrival:
+                with _timed(seconds, "reading"):
+                    rgba = next(arriving)
+                with _timed(seconds, "compositing"):
+                    accumulator.add(number, rgba)
+                del rgba
+            with _timed(seconds, "compositing"):
+                result = accumulator.result().reshape(rows.height, rows.width, 4)
+            del accumulator
+            with _timed(seconds, "writing"):
+                workers.write_behind(partial(writer.write_rows, rows.y, result))
+            del result
+        with _timed(seconds, "writing"):
+            workers.flush()
+    for what, spent in seconds.items():
+        log.info("%s: %.3f s", what + (" (waiting)" if threads > 1 else ""), spent)
+
+
+@contextlib.contextmanager
+def _timed(seconds: dict[str, float], what: str) -> Iterator[None]:
+    begin = time.perf_counter()
+    yield
+    seconds[what] += time.perf_counter() - begin

@@ -1,0 +1,103 @@
+"""How a file will be read, as text for people and as plain data for JSON."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from ..errors import InputError, one_line
+from ..geometry import Window
+from ..imagefile import ColorGroup, ImageFile, Part, choose
+
+#: Version of the data that `as_data` gives; it grows when a key changes its meaning or goes.
+SCHEMA_VERSION = 1
+
+
+def as_data(file: ImageFile) -> dict[str, Any]:
+    """One file as dictionaries, lists, strings and numbers.
+
+    `read_as` names the part and layer that are read where nothing is chosen, or is null with the
+    reason in `problem`.
+    """
+    data: dict[str, Any] = {"path": file.path, "format": file.format}
+    try:
+        part, group = choose(file)
+        data["read_as"] = {"part": part.index, "layer": group.layer}
+    except InputError as problem:
+        data["read_as"], data["problem"] = None, str(problem)
+    data["parts"] = [_part_data(file, part) for part in file.parts]
+    return data
+
+
+def _part_data(file: ImageFile, part: Part) -> dict[str, Any]:
+    return {
+        "index": part.index,
+        "name": part.name,
+        "storage": _storage(part),
+        "compression": part.compression,
+        "data_window": _window_data(part.data_window),
+        "display_window": _window_data(part.display_window),
+        "pixel_aspect": part.pixel_aspect,
+        "pixels_per_metre": part.pixels_per_metre,
+        "channels": [{"name": c.name, "type": c.type} for c in part.channels],
+        "layers": [
+            {
+                "name": group.layer,
+                "color": [c.name for c in group.color],
+                "alpha": group.alpha and group.alpha.name,
+                "alpha_mode": _alpha(file, group),
+            }
+            for group in part.groups
+        ],
+        "transfer": part.encoding.transfer.name,
+        "primaries": part.encoding.primaries.name,
+        "chromaticities": part.encoding.primaries.xy.tolist(),
+        "color_from": part.encoding_source,
+        "problems": list(part.problems),
+    }
+
+
+def _window_data(window: Window) -> dict[str, int]:
+    return {"x": window.x, "y": window.y, "width": window.width, "height": window.height}
+
+
+def _storage(part: Part) -> str:
+    if part.deep:
+        return "deep"
+    if part.tile is not None:
+        return f"tiles of {part.tile[0]}x{part.tile[1]}"
+    return "interlaced" if part.interlaced else "scanlines"
+
+
+def _alpha(file: ImageFile, group: ColorGroup) -> str:
+    return "opaque" if group.alpha is None else file.alpha_mode
+
+
+def as_text(file: ImageFile) -> str:
+    """One file in a few aligned lines."""
+    data = as_data(file)
+    lines = [f"{file.path}: {file.format.upper()}, {len(file.parts)} part(s)"]
+    if data["read_as"] is None:
+        lines.append(f"  cannot be read as it is: {data['problem']}")
+    for part in file.parts:
+        chosen = data["read_as"] is not None and data["read_as"]["part"] == part.index
+        rows = {
+            "part": f"{part.index} {part.name}".rstrip() + (" (read)" if chosen else ""),
+            "windows": f"data {part.data_window}, display {part.display_window}",
+            "storage": ", ".join(filter(None, [_storage(part), part.compression])),
+            "channels": ", ".join(f"{c.name} {c.type}" for c in part.channels),
+            "light": f"{part.encoding.transfer.name}, from {part.encoding_source}",
+            "primaries": part.encoding.primaries.name,
+        }
+        for group in part.groups:
+            color = "".join(c.name.rpartition(".")[2] for c in group.color)
+            rows[f"layer {group.layer}".rstrip()] = f"colour {color}, alpha {_alpha(file, group)}"
+        if part.pixel_aspect != 1:
+            rows["pixel aspect"] = f"{part.pixel_aspect:g}"
+        if part.pixels_per_metre:
+            x, y = part.pixels_per_metre
+            rows["resolution"] = f"{x * 0.0254:.6g} x {y * 0.0254:.6g} pixels per inch"
+        for problem in part.problems:
+            rows["not honoured"] = problem
+        width = max(map(len, rows))
+        lines += [f"  {name:<{width}}  {value}" for name, value in rows.items()]
+    return "\n".join(map(one_line, lines))
