@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterable
 from enum import IntEnum
 
@@ -73,21 +72,6 @@ class HpcompWarning(UserWarning):
 
 class InputWarning(HpcompWarning):
     """A file carries something that cannot be honoured, such as a foreign ICC profile."""
-
-
-class Notices:
-    """Where warnings go: Python's `warnings`, or errors where the run is strict."""
-
-    def __init__(self, strict: bool) -> None:
-        self.strict = strict
-
-    def warn(self, message: str, category: type[HpcompWarning] = HpcompWarning) -> None:
-        """Warns, or raises the error that the warning's category stands for."""
-        message = one_line(message)
-        if self.strict:
-            error = InputError if issubclass(category, InputWarning) else MismatchError
-            raise error(f"{message} (an error with --strict)")
-        warnings.warn(message, category, stacklevel=3)
 
 
 def one_line(text: str) -> str:

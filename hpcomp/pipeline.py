@@ -17,8 +17,8 @@ import numpy as np
 from .addition import DEFAULT_HUE_TOLERANCE
 from .canvas import LayerWindows, lay_out, output_window, parse_canvas
 from .compositing import StackRules, stack_rules, start
-from .encoding import LARGEST_HALF, Losses, parse_hex_color
-from .errors import InputWarning, MismatchError, Notices, SettingError, unknown_name
+from .encoding import Losses, parse_hex_color
+from .errors import MismatchError, SettingError, unknown_name
 from .geometry import Window, parse_window
 from .imagefile import (
     NONFINITE_POLICIES,
@@ -35,6 +35,7 @@ from .imagefile import (
     format_of_output,
     seekable,
 )
+from .notices import Notices, warn_of_layers, warn_of_losses, warn_of_problems, warn_of_zeroed
 from .outputfile import whole_output
 from .stackfile import LayerSpec, layer_spec
 from .workers import Workers, strips_in_flight
@@ -116,7 +117,7 @@ def stack(
             opened.enter_context(_opened_layer(spec, spec.label(number), nonfinite))
             for number, spec in enumerate(specs)
         ]
-        _warn_of_layers(rules, readers, notices)
+        warn_of_layers(rules, readers, notices)
         placed_on, placed = _placed(specs, readers, wanted_canvas)
         window = output_window(
             placed_on, [layer.window for layer in placed], overscan, wanted_region
@@ -145,8 +146,8 @@ def stack(
             writer.finish()
         finally:
             writer.abandon()
-        _warn_of_zeroed(readers, notices)
-        _warn_of_losses(shown, writer.losses, notices)
+        warn_of_zeroed(readers, notices)
+        warn_of_losses(shown, writer.losses, notices)
     return StackResult(output, placed_on, window, writer.losses)
 
 
@@ -181,8 +182,8 @@ def read_layer(
         pixels = np.empty((window.height, window.width, 4), np.float32)
         for begin, end in _strips(window, STRIP_ROWS):
             pixels[begin - window.y : end - window.y] = reader.read_rows(begin, end)
-        _warn_of_problems(reader, notices)
-        _warn_of_zeroed([reader], notices)
+        warn_of_problems(reader, notices)
+        warn_of_zeroed([reader], notices)
         return LayerImage(pixels, window, reader.part.display_window)
 
 
@@ -223,7 +224,7 @@ def write_image(
             writer.finish()
         finally:
             writer.abandon()
-        _warn_of_losses(path, writer.losses, notices)
+        warn_of_losses(path, writer.losses, notices)
     return writer.losses
 
 
@@ -356,53 +357,6 @@ def _placed(
     )
     layers = [PlacedLayer(r, *offset) for r, offset in zip(readers, found.offsets, strict=True)]
     return found.window, layers
-
-
-def _warn_of_layers(rules: StackRules, readers: Sequence[LayerReader], notices: Notices) -> None:
-    for operator, reader in zip(rules.operators, readers, strict=True):
-        _warn_of_problems(reader, notices)
-        if operator is not None and operator.needs_alpha and not reader.has_alpha:
-            notices.warn(
-                f"{reader.label} has no alpha, so '{operator.name}' does nothing useful with it: "
-                "alpha=luminance makes one of its light"
-            )
-        if reader.part.pixel_aspect != readers[0].part.pixel_aspect:
-            notices.warn(
-                f"{reader.label} has pixels of aspect {reader.part.pixel_aspect:g}, the bottom "
-                f"layer of {readers[0].part.pixel_aspect:g}: resample it first"
-            )
-
-
-def _warn_of_problems(reader: LayerReader, notices: Notices) -> None:
-    for problem in reader.problems:
-        notices.warn(f"{reader.label}: {problem}; read as {reader.encoding}", InputWarning)
-
-
-def _warn_of_zeroed(readers: Sequence[LayerReader], notices: Notices) -> None:
-    for reader in readers:
-        if reader.zeroed_pixels:
-            notices.warn(
-                f"{reader.label}: {_count(reader.zeroed_pixels)} NaN or infinite "
-                "and became transparent"
-            )
-
-
-def _warn_of_losses(label: str, losses: Losses, notices: Notices) -> None:
-    for count, what in (
-        (losses.out_of_gamut, "outside the gamut and lost saturation or brightness: "
-                              "write EXR to keep them, or lower --exposure"),
-        (losses.light_without_alpha, "light without alpha, which PNG cannot hold: "
-                                     "put a --background under them, or write EXR"),
-        (losses.not_a_number, "NaN and became transparent"),
-        (losses.beyond_half, f"beyond what half-floats hold and became {LARGEST_HALF:g}: "
-                             "write --depth float"),
-    ):  # fmt: skip
-        if count:
-            notices.warn(f"{label}: {_count(count)} {what}")
-
-
-def _count(pixels: int) -> str:
-    return "1 pixel is" if pixels == 1 else f"{pixels} pixels are"
 
 
 # --- strips ---------------------------------------------------------------------------------------
