@@ -8,9 +8,9 @@ def explain(path: str) -> str:
 
     Called only after a failure, so that the module is not imported for files that can be read.
     """
-    import OpenEXR
-
     try:
+        import OpenEXR
+
         with OpenEXR.File(path, header_only=True) as file:
             channels = [channel for part in file.parts for channel in part.channels.values()]
     except Exception:  # a damaged header fails in many ways, and then it explains nothing

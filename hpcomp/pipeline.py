@@ -48,6 +48,8 @@ DEFAULT_MAX_MEMORY = "1G"
 
 #: Float32 RGBA.
 RGBA_BYTES = 16
+#: Files that are open beside the layers: libraries, the output, the standard streams.
+OTHER_OPEN_FILES = 64
 #: Strips beside those of the layers: the accumulator, its result, and the one being written.
 ACCUMULATOR_STRIPS = 4
 
@@ -113,6 +115,7 @@ def stack(
     shown = "stdout" if output == STDIN else output
     with contextlib.ExitStack() as opened:
         target = opened.enter_context(whole_output(output, clobber=clobber))
+        _allow_open_files(len(specs))
         readers = [
             opened.enter_context(_opened_layer(spec, spec.label(number), nonfinite))
             for number, spec in enumerate(specs)
@@ -322,6 +325,19 @@ class PlacedLayer:
                 :, left : left + common.width
             ]
         return strip.reshape(-1, 4)
+
+
+def _allow_open_files(layers: int) -> None:
+    """Raises the limit on open files to what a stack of so many layers needs, where it may be."""
+    try:
+        import resource
+    except ImportError:
+        return  # not a Unix: no such limit
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    wanted = layers + OTHER_OPEN_FILES
+    if soft != resource.RLIM_INFINITY and soft < wanted:
+        allowed = wanted if hard == resource.RLIM_INFINITY else min(wanted, hard)
+        resource.setrlimit(resource.RLIMIT_NOFILE, (max(soft, allowed), hard))
 
 
 @contextlib.contextmanager
