@@ -161,7 +161,10 @@ def hue_add(
 
     `c1`, `c2`: (…, 3), linear RGB, unbounded; broadcast against each other.
     `hue_tolerance`: degrees between p vectors, 0 for the paper's operator.
-    Returns: (…, 3). float64 if either is, else float32. Chuang et al. 2009, Algorithm 1.
+    `space`: a name of `SPACES`, in which hue and chroma are measured.
+    Returns: (…, 3), linear RGB. float64 if either is, else float32.
+    Errors: `SettingError` for a rule, `MismatchError` for a shape.
+    Source: Chuang et al. 2009, Algorithm 1.
     """
     tolerance, blending_space = addition.check_hue_tolerance(hue_tolerance), spaces.space(space)
     a, b = np.broadcast_arrays(np.asarray(c1), np.asarray(c2))

@@ -92,9 +92,10 @@ def stack(
     `layers`: LAYER strings, paths or `LayerSpec`. `output`: a path ending in .png or .exr, or `-`
     for stdout with `format`. The options are those of `hpcomp stack` and mean the same;
     `background` is a CSS hex colour or straight linear RGB, `max_memory` bytes or `512M`, `1G`.
-    Nothing but a complete picture appears at `output`.
+    Returns: what was written. Nothing but a complete picture appears at `output`.
     Errors: `SettingError`, `InputError`, `MismatchError`, `OutputError`.
     Warnings: `HpcompWarning`; errors with `strict`.
+    Source: Chuang et al. 2009; Porter and Duff 1984.
     """
     specs = [_numbered(number, layer) for number, layer in enumerate(layers)]
     output = os.fspath(output)
@@ -167,7 +168,7 @@ def read_layer(
     """Reads one layer whole, as `stack` would.
 
     `path`: a file or a LAYER string; the keywords override its settings and mean the same.
-    `nonfinite`: `error`, `zero` or `keep`, for NaN and Inf.
+    `nonfinite`: `error`, `zero` or `keep`, for NaN and Inf. `strict`: warnings become errors.
     Returns: pixels (height, width, 4) float32, linear Rec. 709, premultiplied, over `data_window`.
     Errors: `SettingError`, `InputError`, `MismatchError`. Warnings: `HpcompWarning`.
     """
@@ -206,6 +207,7 @@ def write_image(
 
     `pixels`: (height, width, 4), linear Rec. 709, premultiplied, alpha in [0, 1].
     `data_window`: where the pixels lie, +0+0 if not given; `display_window`: as `data_window`.
+    `format`, `depth`, `compression`, `clobber`, `strict`: as in `stack`.
     Returns: the counts of pixels that the file could not hold as they are.
     Errors: `SettingError`, `MismatchError`, `OutputError`. Warnings: `HpcompWarning`.
     """
@@ -232,7 +234,10 @@ def write_image(
 
 
 def info(path: str | os.PathLike[str]) -> ImageFile:
-    """What a file holds and how it will be read, from its headers. Errors: `InputError`."""
+    """What a file holds and how it will be read, from its headers.
+
+    `path`: a PNG or EXR file, or `-` for stdin. Errors: `InputError`.
+    """
     path = os.fspath(path)
     label = "stdin" if path == STDIN else path
     with seekable(path, label) as readable:

@@ -26,9 +26,6 @@ COMMANDS: dict[str, tuple[str, str]] = {
 class Terminated(BaseException):
     """SIGTERM or SIGHUP: unwinds like Ctrl-C, so that temporary files are removed."""
 
-    def __init__(self, signal_number: int) -> None:
-        self.exit_code = 128 + signal_number
-
 
 class LazyGroup(click.Group):
     """A group whose commands are imported when they are called: `--help` imports click alone."""
@@ -89,7 +86,7 @@ def run(arguments: list[str] | None = None) -> None:
 
 
 def _terminate(signal_number: int, frame: FrameType | None) -> None:
-    raise Terminated(signal_number)
+    raise Terminated
 
 
 def _exit_code(arguments: list[str], messages: TextIO | None, debug: bool) -> int:
@@ -111,8 +108,8 @@ def _exit_code(arguments: list[str], messages: TextIO | None, debug: bool) -> in
     except (KeyboardInterrupt, click.Abort):
         _say(messages, "hpcomp: interrupted")
         return ExitCode.INTERRUPTED
-    except Terminated as error:
-        return error.exit_code
+    except Terminated:
+        return ExitCode.TERMINATED
     except (BrokenPipeError, SystemExit):
         raise BrokenPipeError from None  # SystemExit is click's own answer to a closed pipe
     except Exception as error:

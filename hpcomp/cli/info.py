@@ -21,7 +21,7 @@ def command(ctx: click.Context, files: tuple[str, ...], as_json: bool) -> None:
     """Say what image files hold and how they will be read.
 
     Parts, channels, windows, depth, alpha, light and primaries, and where each was read from.
-    Files that cannot be read are named on stderr; the exit code is then 3.
+    FILE may be `-` for stdin. Files that cannot be read are named on stderr, with exit code 3.
     """
     from ..errors import InputError, one_line
     from ..pipeline import info

@@ -16,7 +16,7 @@ from .options import Command, message_options
 LAYER_HELP = f"""Composite layers, bottom first, into one picture.
 
 LAYER is PATH[::key=value[,key=value]...]; `-` reads stdin. The last `::` splits, unless the whole
-argument is an existing file. Keys: {", ".join(LAYER_KEYS)}.
+argument is an existing file; a value holds no comma. Keys: {", ".join(LAYER_KEYS)}.
 
 \b
   op=OPERATOR      {", ".join(OPERATORS)}
@@ -70,7 +70,8 @@ argument is an existing file. Keys: {", ".join(LAYER_KEYS)}.
     default="bottom-up",
     show_default=True,
     metavar="ORDER",
-    help=f"In which order terms are added: {', '.join(ORDERS)}, or a permutation such as 2,0,1.",
+    help=f"In which order the layers' colours are added: {', '.join(ORDERS)}, "
+    "or a permutation such as 2,0,1.",
 )
 @click.option(
     "--space",
@@ -85,7 +86,7 @@ argument is an existing file. Keys: {", ".join(LAYER_KEYS)}.
     default=DEFAULT_HUE_TOLERANCE,
     show_default=True,
     metavar="DEGREES",
-    help="Hues closer than this are equal; 0 is the paper's operator.",
+    help="Hues closer than this, 0 to 90, are equal; 0 is the paper's operator.",
 )
 @click.option(
     "--depth",
@@ -127,9 +128,9 @@ argument is an existing file. Keys: {", ".join(LAYER_KEYS)}.
     type=click.Choice(["error", "zero", "keep"]),
     default="error",
     show_default=True,
-    help="What to do with NaN and Inf in a layer; zero makes the pixel transparent.",
+    help="NaN and Inf in a layer: error (refuse it), zero (the pixel becomes transparent), keep.",
 )
-@click.option("--strict", is_flag=True, help="Make warnings errors.")
+@click.option("--strict", is_flag=True, help="Treat warnings as errors.")
 @click.option(
     "--threads",
     type=click.IntRange(min=1),
