@@ -35,7 +35,7 @@ def whole_output(target: str, *, clobber: bool = True) -> Iterator[str]:
     directory = None if special else os.path.dirname(place)
     try:
         handle, temporary = tempfile.mkstemp(
-            prefix=f".{os.path.basename(place)}." if not special else "hpcomp.", dir=directory
+            prefix="hpcomp." if special else ".hpcomp.", dir=directory
         )
     except OSError as reason:
         where = tempfile.gettempdir() if directory is None else os.path.dirname(target) or "."
