@@ -31,6 +31,7 @@ from .imagefile import (
     OutputForm,
     Rgba,
     choose,
+    codec_threads,
     describe,
     format_of_output,
     seekable,
@@ -117,6 +118,7 @@ def stack(
     with contextlib.ExitStack() as opened:
         target = opened.enter_context(whole_output(output, clobber=clobber))
         _allow_open_files(len(specs))
+        opened.enter_context(codec_threads(reading=1, writing=n_threads))
         readers = [
             opened.enter_context(_opened_layer(spec, spec.label(number), nonfinite))
             for number, spec in enumerate(specs)

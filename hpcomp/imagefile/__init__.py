@@ -5,6 +5,7 @@ Where a layer lies on the canvas, and what is done with it, is not known here.
 """
 
 from .description import STDIN, ColorGroup, ImageFile, Part, choose, describe, seekable
+from .library import codec_threads
 from .reading import NONFINITE_POLICIES, STRIP_ROWS, LayerImage, LayerReader, Rgba
 from .writing import ImageWriter, OutputForm, format_of_output
 
@@ -21,6 +22,7 @@ __all__ = [
     "Part",
     "Rgba",
     "choose",
+    "codec_threads",
     "describe",
     "format_of_output",
     "seekable",

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import Iterator
 from typing import Any
 
 import OpenImageIO as oiio
@@ -13,13 +15,27 @@ from ..errors import InputError
 oiio.attribute("oiio:print_uncaught_errors", 0)
 
 
-def error_text(source: Any) -> str:
-    """The first line of OpenImageIO's error, which may quote bytes of a damaged file."""
+@contextlib.contextmanager
+def codec_threads(reading: int, writing: int) -> Iterator[None]:
+    """Bounds the threads that OpenImageIO and OpenEXR add to ours, and puts their settings back."""
+    settings = {"threads": reading, "exr_threads": writing}
+    before = {name: oiio.get_int_attribute(name) for name in settings}
+    try:
+        for name, value in settings.items():
+            oiio.attribute(name, value)
+        yield
+    finally:
+        for name, value in before.items():
+            oiio.attribute(name, value)
+
+
+def error_text(source: Any, otherwise: str = "the file is damaged") -> str:
+    """The first line of OpenImageIO's error, which may quote a damaged file's bytes."""
     try:
         lines = source.geterror().strip().splitlines()
     except UnicodeDecodeError:
         lines = []
-    return str(lines[0]) if lines else "the file is damaged"
+    return str(lines[0]) if lines else otherwise
 
 
 def open_input(path: str, label: str) -> Any:

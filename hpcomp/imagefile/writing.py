@@ -11,8 +11,9 @@ import numpy as np
 import OpenImageIO as oiio
 from numpy.typing import NDArray
 
+from .. import pngheader
 from ..encoding import REC709, Losses, to_half_range, to_straight_srgb
-from ..errors import OutputError, SettingError, unknown_name
+from ..errors import InputError, OutputError, SettingError, unknown_name
 from ..geometry import Window
 from .description import METRES_PER_INCH, STDIN
 from .library import error_text
@@ -103,7 +104,7 @@ class ImageWriter:
         pixels_per_metre: tuple[float, float] | None = None,
         label: str | None = None,
     ) -> None:
-        self.form, self.window, self.label = form, data_window, label or path
+        self.path, self.form, self.window, self.label = path, form, data_window, label or path
         self.losses = Losses()
         png = form.format == "png"
         kind = {"8": "uint8", "16": "uint16", "half": "half", "float": "float"}[form.depth]
@@ -159,6 +160,12 @@ class ImageWriter:
         """Completes the file; `OutputError` where it cannot be."""
         if not self._output.close():
             raise self._error()
+        if self.form.format == "png":
+            # OpenImageIO's PNG writer does not notice a full disk.
+            try:
+                pngheader.read_header(self.path)
+            except (InputError, OSError):
+                raise self._error() from None
 
     def abandon(self) -> None:
         """Closes the file, whatever state it is in."""
@@ -166,4 +173,5 @@ class ImageWriter:
             self._output.close()
 
     def _error(self) -> OutputError:
-        return OutputError(f"{self.label}: cannot be written: {error_text(self._output)}")
+        reason = error_text(self._output, "it is incomplete").replace(self.path, self.label)
+        return OutputError(f"{self.label}: cannot be written, is the disk full? {reason}")
