@@ -1,0 +1,22 @@
+#!/bin/sh
+# Makes .venv at the root of the checkout if it is missing, installs hpcomp with what its tests need
+# into it, and runs all tests.
+#
+#   sh tests/run.sh                      from any directory
+#   sh tests/run.sh tests/test_cli.py    passes arguments on to pytest
+#   VENV=/tmp/env sh tests/run.sh        uses another environment
+#   PYTHON=python3.12 sh tests/run.sh    names the interpreter that makes it
+
+set -eu
+
+root=$(CDPATH='' cd -- "$(dirname -- "$0")/.." && pwd)
+venv=${VENV:-$root/.venv}
+python=${PYTHON:-python3}
+
+[ -x "$venv/bin/python" ] || "$python" -m venv "$venv"
+PIP_USER=0 "$venv/bin/python" -m pip install --quiet --disable-pip-version-check "$root[test]"
+
+# Not `python -m pytest`, which would import the checkout instead of what was installed.
+cd -- "$root"
+PATH=$venv/bin:$PATH
+exec "$venv/bin/pytest" "$@"
