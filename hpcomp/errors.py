@@ -76,7 +76,13 @@ class InputWarning(HpcompWarning):
 
 def one_line(text: str) -> str:
     """A message as one printable line, whatever names from files it quotes."""
-    return "".join(c if c.isprintable() else " " if c == "\n" else ascii(c)[1:-1] for c in text)
+    spaced = " ".join(text.split())
+    return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in spaced)
+
+
+def why(reason: OSError) -> str:
+    """What the system says of a failure, in the lower case of our lines."""
+    return (reason.strerror or str(reason)).lower()
 
 
 def unknown_name(kind: str, name: str, valid: Iterable[object]) -> SettingError:

@@ -12,7 +12,7 @@ def explain(path: str) -> str:
         import OpenEXR
 
         with OpenEXR.File(path, header_only=True) as file:
-            channels = [channel for part in file.parts for channel in part.channels.values()]
+            channels = [channel for part in file.parts for channel in part.header["channels"]]
     except Exception:  # a damaged header fails in many ways, and then it explains nothing
         return ""
     subsampled = [c.name for c in channels if (c.xSampling, c.ySampling) != (1, 1)]

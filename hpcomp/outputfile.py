@@ -10,7 +10,7 @@ import sys
 import tempfile
 from collections.abc import Iterator
 
-from .errors import OutputError
+from .errors import OutputError, why
 
 STDOUT = "-"
 
@@ -25,13 +25,11 @@ def whole_output(target: str, *, clobber: bool = True) -> Iterator[str]:
     directory, or where it exists and `clobber` is off.
     """
     stream = target == STDOUT
-    place = target if stream else os.path.realpath(target)
-    special = stream
     label = "stdout" if stream else target
     if stream and sys.stdout is None:
         raise OutputError(f"{label} is closed: give it a reader, or name a file")
-    if not stream:
-        special = _check_place(target, place, clobber)
+    special = stream or _is_special(target, clobber)
+    place = target if special else os.path.realpath(target)
     directory = None if special else os.path.dirname(place)
     try:
         handle, temporary = tempfile.mkstemp(
@@ -40,7 +38,7 @@ def whole_output(target: str, *, clobber: bool = True) -> Iterator[str]:
     except OSError as reason:
         where = tempfile.gettempdir() if directory is None else os.path.dirname(target) or "."
         raise OutputError(
-            f"{target}: cannot write in the directory {where}: {_why(reason)}"
+            f"{target}: cannot write in the directory {where}: {why(reason)}"
         ) from None
     os.close(handle)
     try:
@@ -52,7 +50,7 @@ def whole_output(target: str, *, clobber: bool = True) -> Iterator[str]:
                     shutil.copyfileobj(written, sys.stdout.buffer, 1 << 20)
                 sys.stdout.buffer.flush()
             elif special:
-                with open(temporary, "rb") as written, open(place, "wb") as device:
+                with open(temporary, "rb") as written, open(target, "wb") as device:
                     shutil.copyfileobj(written, device, 1 << 20)
             else:
                 if not clobber and os.path.lexists(place):
@@ -62,24 +60,24 @@ def whole_output(target: str, *, clobber: bool = True) -> Iterator[str]:
         except BrokenPipeError:
             raise
         except OSError as reason:
-            raise OutputError(f"{label}: cannot be written: {_why(reason)}") from None
+            raise OutputError(f"{label}: cannot be written: {why(reason)}") from None
     finally:
         with contextlib.suppress(FileNotFoundError):
             os.unlink(temporary)
 
 
-def _check_place(target: str, place: str, clobber: bool) -> bool:
-    """Whether `place` is a device or pipe, to be written through rather than replaced."""
+def _is_special(target: str, clobber: bool) -> bool:
+    """Whether `target` is a device or pipe, to be written through; refuses what cannot be."""
     try:
-        mode = os.stat(place).st_mode
+        # Before links are followed: those of /dev/stdout and /dev/fd lead to no path.
+        mode = os.stat(target).st_mode
     except FileNotFoundError:
-        directory = os.path.dirname(place)
-        if not os.path.isdir(directory):
+        if not os.path.isdir(os.path.dirname(os.path.realpath(target))):
             shown = os.path.dirname(target) or "."
             raise OutputError(f"{target}: there is no directory {shown}: make it first") from None
         return False
     except OSError as reason:
-        raise OutputError(f"{target}: cannot be written: {_why(reason)}") from None
+        raise OutputError(f"{target}: cannot be written: {why(reason)}") from None
     if stat.S_ISDIR(mode):
         raise OutputError(f"{target} is a directory: name a file in it")
     if not stat.S_ISREG(mode):
@@ -101,7 +99,3 @@ def _mode(place: str) -> int:
         umask = os.umask(0)
         os.umask(umask)
         return 0o666 & ~umask
-
-
-def _why(reason: OSError) -> str:
-    return (reason.strerror or str(reason)).lower()

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 import signal
 import sys
 from importlib import import_module
 from types import FrameType
-from typing import TextIO
 
 import click
 
 from .. import __version__
-from ..errors import EXIT_CODE_MEANINGS, ExitCode, HpcompError, one_line
+from ..errors import EXIT_CODE_MEANINGS, ExitCode, HpcompError
+from .messages import keep_libraries_off_stderr, open_standard_streams, say
 
 #: The subcommands: the module of each, which is imported when it is called, and its one-line help.
 COMMANDS: dict[str, tuple[str, str]] = {
@@ -73,9 +72,11 @@ def run(arguments: list[str] | None = None) -> None:
     for number in (signal.SIGTERM, signal.SIGHUP):
         if signal.getsignal(number) is signal.SIG_DFL:  # `nohup` wants SIGHUP ignored
             signal.signal(number, _terminate)
-    messages = _private_stderr() if not debug else sys.stderr
+    open_standard_streams()
+    if not debug:
+        keep_libraries_off_stderr()
     try:
-        code = _exit_code(arguments, messages, debug)
+        code = _exit_code(arguments, debug)
         if sys.stdout is not None:  # it may have been closed from the start
             sys.stdout.flush()
     except BrokenPipeError:
@@ -89,7 +90,7 @@ def _terminate(signal_number: int, frame: FrameType | None) -> None:
     raise Terminated
 
 
-def _exit_code(arguments: list[str], messages: TextIO | None, debug: bool) -> int:
+def _exit_code(arguments: list[str], debug: bool) -> int:
     """Runs the command; what goes wrong becomes one line and an exit code."""
     try:
         # A command that calls ctx.exit() makes its code the result of main().
@@ -97,16 +98,16 @@ def _exit_code(arguments: list[str], messages: TextIO | None, debug: bool) -> in
         return code if isinstance(code, int) else ExitCode.DONE
     except click.UsageError as error:
         if error.ctx is not None:
-            _say(messages, error.ctx.get_usage())
-        _say(messages, f"hpcomp: error: {error.format_message()}")
+            say(error.ctx.get_usage())
+        say(f"hpcomp: error: {error.format_message()}")
         return ExitCode.USAGE
     except HpcompError as error:
         if debug:
             raise
-        _say(messages, f"hpcomp: error: {error}")
+        say(f"hpcomp: error: {error}")
         return error.exit_code
     except (KeyboardInterrupt, click.Abort):
-        _say(messages, "hpcomp: interrupted")
+        say("hpcomp: interrupted")
         return ExitCode.INTERRUPTED
     except Terminated:
         return ExitCode.TERMINATED
@@ -116,24 +117,5 @@ def _exit_code(arguments: list[str], messages: TextIO | None, debug: bool) -> in
         if debug:
             raise
         what = f"{type(error).__name__}: {error}"
-        _say(messages, f"hpcomp: bug: {what}; please report it with what --debug prints")
+        say(f"hpcomp: bug: {what}; please report it with what --debug prints")
         return ExitCode.BUG
-
-
-def _say(messages: TextIO | None, text: str) -> None:
-    with contextlib.suppress(OSError, ValueError):
-        if messages is not None:
-            print(one_line(text), file=messages, flush=True)
-
-
-def _private_stderr() -> TextIO | None:
-    """A stderr of our own: what codec libraries print to file descriptor 2 goes nowhere."""
-    try:
-        ours = os.dup(2)
-    except OSError:
-        return None  # stderr is closed
-    silence = os.open(os.devnull, os.O_WRONLY)
-    os.dup2(silence, 2)
-    os.close(silence)
-    sys.stderr = open(ours, "w", encoding="utf-8", errors="backslashreplace", buffering=1)  # noqa: SIM115
-    return sys.stderr

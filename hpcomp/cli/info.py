@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import json
-import sys
 
 import click
 
+from .messages import say
 from .options import Command, message_options, print_data
 
 
@@ -23,7 +23,7 @@ def command(ctx: click.Context, files: tuple[str, ...], as_json: bool) -> None:
     Parts, channels, windows, depth, alpha, light and primaries, and where each was read from.
     FILE may be `-` for stdin. Files that cannot be read are named on stderr, with exit code 3.
     """
-    from ..errors import InputError, one_line
+    from ..errors import InputError
     from ..pipeline import info
     from ..report import fileinfo
 
@@ -43,6 +43,6 @@ def command(ctx: click.Context, files: tuple[str, ...], as_json: bool) -> None:
     elif described:
         print_data("\n\n".join(fileinfo.as_text(file) for file in described))
     for failure in failures:
-        print(one_line(f"hpcomp: error: {failure}"), file=sys.stderr)
+        say(f"hpcomp: error: {failure}")
     if failures:
         ctx.exit(int(InputError.exit_code))

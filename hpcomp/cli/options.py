@@ -10,13 +10,21 @@ from typing import Any, TypeVar
 
 import click
 
-from ..errors import HpcompWarning, OutputError, SettingError, one_line
+from ..errors import HpcompWarning, OutputError, SettingError, why
+from .messages import say
 
 F = TypeVar("F", bound=Callable[..., Any])
 
 
 class Command(click.Command):
     """A command whose wrong settings, wherever they are found, end as usage errors."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        try:
+            return super().parse_args(ctx, args)
+        except click.UsageError as error:
+            error.ctx = error.ctx or ctx  # the parser does not know the command
+            raise
 
     def invoke(self, ctx: click.Context) -> Any:
         try:
@@ -26,19 +34,22 @@ class Command(click.Command):
 
 
 def _show_messages(ctx: click.Context, param: click.Parameter, value: bool) -> bool:
-    if value and param.name == "verbose":
+    if value and param.name == "verbose" and sys.stderr is not None:
         handler = logging.StreamHandler(sys.stderr)
         handler.setFormatter(logging.Formatter("hpcomp: %(message)s"))
         logging.getLogger("hpcomp").addHandler(handler)
         logging.getLogger("hpcomp").setLevel(logging.INFO)
     if param.name == "quiet":
+        # What libraries warn of is for developers; `--debug` leaves it as it is.
+        if "--debug" not in sys.argv:
+            warnings.simplefilter("ignore")
         warnings.simplefilter("ignore" if value else "always", HpcompWarning)
         warnings.showwarning = _show_warning
     return value
 
 
 def _show_warning(message: Any, category: type[Warning], *where: Any, **more: Any) -> None:
-    print(one_line(f"hpcomp: warning: {message}"), file=sys.stderr)
+    say(f"hpcomp: warning: {message}")
 
 
 def print_data(text: str) -> None:
@@ -50,7 +61,7 @@ def print_data(text: str) -> None:
     except BrokenPipeError:
         raise
     except OSError as reason:
-        raise OutputError(f"stdout: cannot be written: {reason.strerror}") from None
+        raise OutputError(f"stdout: cannot be written: {why(reason)}") from None
 
 
 def message_options(function: F) -> F:

@@ -35,7 +35,20 @@ argument is an existing file; a value holds no comma. Keys: {", ".join(LAYER_KEY
 """
 
 
-@click.command("stack", cls=Command, help=LAYER_HELP, short_help=LAYER_HELP.partition("\n")[0])
+class StackCommand(Command):
+    """Takes `-::key=value`, stdin with settings, for the layer that it is and not for an option."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        return super().parse_args(
+            ctx, [f"{_STDIN_MARK}{a}" if a.startswith("-::") else a for a in args]
+        )
+
+
+#: A character that no argument can hold.
+_STDIN_MARK = "\0"
+
+
+@click.command("stack", cls=StackCommand, help=LAYER_HELP, short_help=LAYER_HELP.partition("\n")[0])
 @click.argument("layers", metavar="LAYER...", nargs=-1, required=True, type=click.Path())
 @click.option(
     "-o",
@@ -148,4 +161,4 @@ argument is an existing file; a value holds no comma. Keys: {", ".join(LAYER_KEY
 def command(layers: tuple[str, ...], output: str, **options: Any) -> None:
     from ..pipeline import stack
 
-    stack(layers, output, **options)
+    stack([layer.removeprefix(_STDIN_MARK) for layer in layers], output, **options)

@@ -20,7 +20,7 @@ from ..encoding import (
     ColorEncoding,
     primaries_from_xy,
 )
-from ..errors import InputError
+from ..errors import InputError, why
 from ..geometry import Window
 from .library import error_text, open_input
 
@@ -91,7 +91,7 @@ def seekable(path: str, label: str) -> Iterator[str]:
     try:
         special = path == STDIN or not _is_plain(path)
     except OSError as reason:
-        raise InputError(f"{label}: cannot be read: {_why(reason)}") from None
+        raise InputError(f"{label}: cannot be read: {why(reason)}") from None
     if not special:
         yield path
         return
@@ -106,7 +106,7 @@ def seekable(path: str, label: str) -> Iterator[str]:
                     shutil.copyfileobj(pipe, copy, 1 << 20)
             copy.flush()
         except OSError as reason:
-            raise InputError(f"{label}: cannot be read: {_why(reason)}") from None
+            raise InputError(f"{label}: cannot be read: {why(reason)}") from None
         yield copy.name
 
 
@@ -147,7 +147,7 @@ def _format_of(path: str, label: str) -> str:
         with open(path, "rb") as file:
             head = file.read(8)
     except OSError as reason:
-        raise InputError(f"{label}: cannot be read: {_why(reason)}") from None
+        raise InputError(f"{label}: cannot be read: {why(reason)}") from None
     if not head:
         raise InputError(f"{label} is empty")
     # A damaged signature still shows which format was meant.
@@ -156,10 +156,6 @@ def _format_of(path: str, label: str) -> str:
     if head[:4] == b"v/1\x01":
         return "exr"
     raise InputError(f"{label} is neither a PNG nor an EXR file: convert it first")
-
-
-def _why(reason: OSError) -> str:
-    return (reason.strerror or str(reason)).lower()
 
 
 def _window(spec: Any, full: bool = False) -> Window:
