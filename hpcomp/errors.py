@@ -76,8 +76,12 @@ class InputWarning(HpcompWarning):
 
 def one_line(text: str) -> str:
     """A message as one printable line, whatever names from files it quotes."""
-    spaced = " ".join(text.split())
-    return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in spaced)
+    return printable(" ".join(text.split()))
+
+
+def printable(text: str) -> str:
+    """`text` with what could control a terminal shown as escapes."""
+    return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
 
 
 def why(reason: OSError) -> str:

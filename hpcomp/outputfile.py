@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import secrets
 import shutil
 import stat
 import sys
@@ -31,17 +32,19 @@ def whole_output(target: str, *, clobber: bool = True) -> Iterator[str]:
     special = stream or _is_special(target, clobber)
     place = target if special else os.path.realpath(target)
     directory = None if special else os.path.dirname(place)
+    # The name first and the file inside the `try`: wherever a signal strikes, the file is removed.
+    hidden = "" if special else "."
+    temporary = os.path.join(
+        directory or tempfile.gettempdir(), f"{hidden}hpcomp.{secrets.token_hex(8)}"
+    )
     try:
-        handle, temporary = tempfile.mkstemp(
-            prefix="hpcomp." if special else ".hpcomp.", dir=directory
-        )
-    except OSError as reason:
-        where = tempfile.gettempdir() if directory is None else os.path.dirname(target) or "."
-        raise OutputError(
-            f"{target}: cannot write in the directory {where}: {why(reason)}"
-        ) from None
-    os.close(handle)
-    try:
+        try:
+            os.close(os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o600))
+        except OSError as reason:
+            where = tempfile.gettempdir() if directory is None else os.path.dirname(target) or "."
+            raise OutputError(
+                f"{label}: cannot write in the directory {where}: {why(reason)}"
+            ) from None
         yield temporary
         try:
             if stream:

@@ -69,9 +69,9 @@ def run(arguments: list[str] | None = None) -> None:
     """The console script: runs one command and ends the process with its exit code."""
     arguments = sys.argv[1:] if arguments is None else arguments
     debug = "--debug" in arguments
-    for number in (signal.SIGTERM, signal.SIGHUP):
-        if signal.getsignal(number) is signal.SIG_DFL:  # `nohup` wants SIGHUP ignored
-            signal.signal(number, _terminate)
+    for number in _SIGNALS:
+        if signal.getsignal(number) is not signal.SIG_IGN:  # as `nohup` and `&` want it
+            signal.signal(number, _interrupt)
     open_standard_streams()
     if not debug:
         keep_libraries_off_stderr()
@@ -86,8 +86,18 @@ def run(arguments: list[str] | None = None) -> None:
     sys.exit(int(code))
 
 
-def _terminate(signal_number: int, frame: FrameType | None) -> None:
-    raise Terminated
+#: The signals that end a run, each with what it raises.
+_SIGNALS: dict[int, type[BaseException]] = {
+    signal.SIGINT: KeyboardInterrupt,
+    signal.SIGTERM: Terminated,
+    signal.SIGHUP: Terminated,
+}
+
+
+def _interrupt(signal_number: int, frame: FrameType | None) -> None:
+    for number in _SIGNALS:
+        signal.signal(number, signal.SIG_IGN)  # a second Ctrl-C must not stop the cleaning up
+    raise _SIGNALS[signal_number]
 
 
 def _exit_code(arguments: list[str], debug: bool) -> int:

@@ -44,8 +44,8 @@ class StackCommand(Command):
         )
 
 
-#: A character that no argument can hold.
-_STDIN_MARK = "\0"
+#: A character of Unicode's private use, which no file name begins with.
+_STDIN_MARK = "\U000f0000"
 
 
 @click.command("stack", cls=StackCommand, help=LAYER_HELP, short_help=LAYER_HELP.partition("\n")[0])

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import contextlib
 import os
-import shutil
+import select
 import stat
 import sys
 import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import IO, Any
 
 from .. import pngheader
 from ..encoding import (
@@ -100,14 +100,28 @@ def seekable(path: str, label: str) -> Iterator[str]:
     with tempfile.NamedTemporaryFile(prefix="hpcomp.") as copy:
         try:
             if path == STDIN:
-                shutil.copyfileobj(sys.stdin.buffer, copy, 1 << 20)
+                _copy_pipe(sys.stdin.fileno(), copy)
             else:
-                with open(path, "rb") as pipe:
-                    shutil.copyfileobj(pipe, copy, 1 << 20)
+                with open(path, "rb", buffering=0) as pipe:
+                    _copy_pipe(pipe.fileno(), copy)
             copy.flush()
         except OSError as reason:
             raise InputError(f"{label}: cannot be read: {why(reason)}") from None
         yield copy.name
+
+
+#: Seconds after which a signal is noticed that arrived just before a read began to wait.
+_PATIENCE = 0.2
+
+
+def _copy_pipe(source: int, copy: IO[bytes]) -> None:
+    while True:
+        while not select.select([source], [], [], _PATIENCE)[0]:
+            pass
+        data = os.read(source, 1 << 20)
+        if not data:
+            return
+        copy.write(data)
 
 
 def _is_plain(path: str) -> bool:

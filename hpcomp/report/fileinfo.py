@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from ..errors import InputError, one_line
+from ..errors import InputError, printable
 from ..geometry import Window
 from ..imagefile import ColorGroup, ImageFile, Part, choose
 
@@ -100,4 +100,4 @@ def as_text(file: ImageFile) -> str:
             rows["not honoured"] = problem
         width = max(map(len, rows))
         lines += [f"  {name:<{width}}  {value}" for name, value in rows.items()]
-    return "\n".join(map(one_line, lines))
+    return "\n".join(map(printable, lines))
