@@ -1,5 +1,15 @@
-"""`python -m hpcomp` is the `hpcomp` command."""
+"""`python -m hpcomp` and the console script: the `hpcomp` command."""
 
-from .cli import run
+import signal
 
-run()
+
+def run() -> None:
+    """Runs the command. Signals wait until it can clean up after itself."""
+    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM, signal.SIGHUP})
+    from .cli import run as run_command
+
+    run_command()
+
+
+if __name__ == "__main__":
+    run()

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import os
-import signal
 import sys
-from importlib import import_module
-from types import FrameType
 
 import click
 
 from .. import __version__
 from ..errors import EXIT_CODE_MEANINGS, ExitCode, HpcompError
+from . import signals
 from .messages import keep_libraries_off_stderr, open_standard_streams, say
 
 #: The subcommands: the module of each, which is imported when it is called, and its one-line help.
@@ -20,10 +18,6 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "info": ("info", "Say what image files hold and how they will be read."),
     "completion": ("completion", "Print the completion script of a shell."),
 }
-
-
-class Terminated(BaseException):
-    """SIGTERM or SIGHUP: unwinds like Ctrl-C, so that temporary files are removed."""
 
 
 class LazyGroup(click.Group):
@@ -35,8 +29,7 @@ class LazyGroup(click.Group):
     def get_command(self, ctx: click.Context, name: str) -> click.Command | None:
         if name not in COMMANDS:
             return None
-        module = import_module(f".{COMMANDS[name][0]}", __name__)
-        command: click.Command = module.command
+        command: click.Command = signals.load(f"{__name__}.{COMMANDS[name][0]}").command
         return command
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
@@ -69,9 +62,7 @@ def run(arguments: list[str] | None = None) -> None:
     """The console script: runs one command and ends the process with its exit code."""
     arguments = sys.argv[1:] if arguments is None else arguments
     debug = "--debug" in arguments
-    for number in _SIGNALS:
-        if signal.getsignal(number) is not signal.SIG_IGN:  # as `nohup` and `&` want it
-            signal.signal(number, _interrupt)
+    signals.install()
     open_standard_streams()
     if not debug:
         keep_libraries_off_stderr()
@@ -84,20 +75,6 @@ def run(arguments: list[str] | None = None) -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
         code = ExitCode.PIPE_CLOSED
     sys.exit(int(code))
-
-
-#: The signals that end a run, each with what it raises.
-_SIGNALS: dict[int, type[BaseException]] = {
-    signal.SIGINT: KeyboardInterrupt,
-    signal.SIGTERM: Terminated,
-    signal.SIGHUP: Terminated,
-}
-
-
-def _interrupt(signal_number: int, frame: FrameType | None) -> None:
-    for number in _SIGNALS:
-        signal.signal(number, signal.SIG_IGN)  # a second Ctrl-C must not stop the cleaning up
-    raise _SIGNALS[signal_number]
 
 
 def _exit_code(arguments: list[str], debug: bool) -> int:
@@ -119,7 +96,7 @@ def _exit_code(arguments: list[str], debug: bool) -> int:
     except (KeyboardInterrupt, click.Abort):
         say("hpcomp: interrupted")
         return ExitCode.INTERRUPTED
-    except Terminated:
+    except signals.Terminated:
         return ExitCode.TERMINATED
     except (BrokenPipeError, SystemExit):
         raise BrokenPipeError from None  # SystemExit is click's own answer to a closed pipe

@@ -6,8 +6,10 @@ import json
 
 import click
 
+from ..errors import InputError
 from .messages import say
 from .options import Command, message_options, print_data
+from .signals import load
 
 
 @click.command(
@@ -23,14 +25,12 @@ def command(ctx: click.Context, files: tuple[str, ...], as_json: bool) -> None:
     Parts, channels, windows, depth, alpha, light and primaries, and where each was read from.
     FILE may be `-` for stdin. Files that cannot be read are named on stderr, with exit code 3.
     """
-    from ..errors import InputError
-    from ..pipeline import info
-    from ..report import fileinfo
+    pipeline, fileinfo = load("hpcomp.pipeline"), load("hpcomp.report.fileinfo")
 
     described, failures = [], []
     for path in files:
         try:
-            described.append(info(path))
+            described.append(pipeline.info(path))
         except InputError as error:
             failures.append(error)
     if as_json:

@@ -12,6 +12,7 @@ from ..porter_duff import OPERATOR_NAMES, OPERATORS
 from ..spaces import SPACES
 from ..stackfile import LAYER_KEYS
 from .options import Command, message_options
+from .signals import load
 
 LAYER_HELP = f"""Composite layers, bottom first, into one picture.
 
@@ -159,6 +160,5 @@ _STDIN_MARK = "\U000f0000"
 )
 @message_options
 def command(layers: tuple[str, ...], output: str, **options: Any) -> None:
-    from ..pipeline import stack
-
-    stack([layer.removeprefix(_STDIN_MARK) for layer in layers], output, **options)
+    pipeline = load("hpcomp.pipeline")
+    pipeline.stack([layer.removeprefix(_STDIN_MARK) for layer in layers], output, **options)

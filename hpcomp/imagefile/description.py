@@ -97,7 +97,7 @@ def seekable(path: str, label: str) -> Iterator[str]:
         return
     if path == STDIN and sys.stdin is None:
         raise InputError(f"{label}: stdin is closed")
-    with tempfile.NamedTemporaryFile(prefix="hpcomp.") as copy:
+    with _unnamed_copy() as copy:
         try:
             if path == STDIN:
                 _copy_pipe(sys.stdin.fileno(), copy)
@@ -107,7 +107,14 @@ def seekable(path: str, label: str) -> Iterator[str]:
             copy.flush()
         except OSError as reason:
             raise InputError(f"{label}: cannot be read: {why(reason)}") from None
-        yield copy.name
+        yield copy.name if isinstance(copy.name, str) else f"/dev/fd/{copy.name}"
+
+
+def _unnamed_copy() -> IO[bytes]:
+    """A temporary file that goes with the process, however that ends, where the system has such."""
+    if sys.platform == "linux":
+        return tempfile.TemporaryFile(prefix="hpcomp.")
+    return tempfile.NamedTemporaryFile(prefix="hpcomp.")
 
 
 #: Seconds after which a signal is noticed that arrived just before a read began to wait.
