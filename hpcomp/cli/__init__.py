@@ -62,7 +62,6 @@ def run(arguments: list[str] | None = None) -> None:
     """The console script: runs one command and ends the process with its exit code."""
     arguments = sys.argv[1:] if arguments is None else arguments
     debug = "--debug" in arguments
-    signals.install()
     open_standard_streams()
     if not debug:
         keep_libraries_off_stderr()
@@ -80,6 +79,7 @@ def run(arguments: list[str] | None = None) -> None:
 def _exit_code(arguments: list[str], debug: bool) -> int:
     """Runs the command; what goes wrong becomes one line and an exit code."""
     try:
+        signals.install()
         # A command that calls ctx.exit() makes its code the result of main().
         code = cli.main(arguments, prog_name="hpcomp", standalone_mode=False)
         return code if isinstance(code, int) else ExitCode.DONE

@@ -15,7 +15,9 @@ from .signals import load
 @click.command(
     "info", cls=Command, short_help="Say what image files hold and how they will be read."
 )
-@click.argument("files", metavar="FILE...", nargs=-1, required=True, type=click.Path())
+@click.argument(
+    "files", metavar="FILE...", nargs=-1, required=True, type=click.Path(readable=False)
+)
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON document for all files.")
 @message_options
 @click.pass_context

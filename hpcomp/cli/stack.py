@@ -50,13 +50,15 @@ _STDIN_MARK = "\U000f0000"
 
 
 @click.command("stack", cls=StackCommand, help=LAYER_HELP, short_help=LAYER_HELP.partition("\n")[0])
-@click.argument("layers", metavar="LAYER...", nargs=-1, required=True, type=click.Path())
+@click.argument(
+    "layers", metavar="LAYER...", nargs=-1, required=True, type=click.Path(readable=False)
+)
 @click.option(
     "-o",
     "--output",
     required=True,
     metavar="PATH",
-    type=click.Path(),
+    type=click.Path(readable=False),
     help="Write here: a path ending in .png or .exr, or - for stdout with --format.",
 )
 @click.option(

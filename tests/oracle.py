@@ -1,0 +1,339 @@
+"""A second opinion on the mathematics, scalar and literal, in doubles; no hpcomp and no numpy.
+
+Colours are (R, G, B), linear and premultiplied; layers are (R, G, B, alpha). It is written to be
+held beside the paper (Chuang, Weiskopf, Möller: Hue-Preserving Color Blending, 2009), not to be
+fast: it works on difference vectors in RGB and finds the dominant colour by trying both.
+"""
+
+import math
+
+# Rec. ITU-R BT.709-6, item 1.3: chromaticities (x, y) of R, G, B, and of the white point D65.
+BT709_PRIMARIES = ((0.640, 0.330), (0.300, 0.600), (0.150, 0.060))
+D65 = (0.3127, 0.3290)
+
+# Difference vectors at a smaller angle, in radians, are of one hue even at tolerance 0: the paper's
+# "positive multiple" has to survive rounding.
+ROUNDING_ANGLE = 1e-4
+
+
+def xyz_of(chromaticity):
+    """XYZ at Y = 1 of a chromaticity (x, y)."""
+    x, y = chromaticity
+    return (x / y, 1.0, (1 - x - y) / y)
+
+
+def determinant(a, b, c):
+    """Of the 3×3 matrix with the columns a, b, c."""
+    return (
+        a[0] * (b[1] * c[2] - b[2] * c[1])
+        - b[0] * (a[1] * c[2] - a[2] * c[1])
+        + c[0] * (a[1] * b[2] - a[2] * b[1])
+    )
+
+
+def luminance_weights(primaries=BT709_PRIMARIES, white=D65):
+    """The Y row of RGB→XYZ: how much of each primary makes the white, by Cramer's rule.
+
+    0.21263900587151, 0.71516867876776, 0.07219231536073 for BT.709 and D65, usually printed as
+    0.2126, 0.7152, 0.0722 (BT.709-6, item 3.2).
+    """
+    red, green, blue = (xyz_of(primary) for primary in primaries)
+    w = xyz_of(white)
+    whole = determinant(red, green, blue)
+    return (
+        determinant(w, green, blue) / whole,
+        determinant(red, w, blue) / whole,
+        determinant(red, green, w) / whole,
+    )
+
+
+WEIGHTS = luminance_weights()
+
+
+# --- colours ------------------------------------------------------------------------------------
+
+
+def luminance(c):
+    return WEIGHTS[0] * c[0] + WEIGHTS[1] * c[1] + WEIGHTS[2] * c[2]
+
+
+def difference(c):
+    """The difference vector to the grey axis at the same luminance: its length is the chroma |p|.
+
+    Written with differences of the components, so that a grey gives zero exactly.
+    """
+    red, green, blue = c
+    w_red, w_green, w_blue = WEIGHTS
+    return (
+        w_green * (red - green) + w_blue * (red - blue),
+        w_red * (green - red) + w_blue * (green - blue),
+        w_red * (blue - red) + w_green * (blue - green),
+    )
+
+
+def color(y, d):
+    """The colour of luminance y with the difference vector d."""
+    return (y + d[0], y + d[1], y + d[2])
+
+
+def length(v):
+    return math.hypot(v[0], v[1], v[2])
+
+
+def scaled(k, v):
+    return tuple(k * component for component in v)
+
+
+def unit(v):
+    """v at length 1; component by component, so that no product of small ones underflows."""
+    whole = length(v)
+    return tuple(component / whole for component in v)
+
+
+def added(a, b):
+    return tuple(x + y for x, y in zip(a, b, strict=True))
+
+
+def angle(d1, d2):
+    """Between two vectors, in radians; 0 where one of them is zero."""
+    if length(d1) == 0 or length(d2) == 0:
+        return 0.0
+    u, v = unit(d1), unit(d2)
+    cross = (
+        u[1] * v[2] - u[2] * v[1],
+        u[2] * v[0] - u[0] * v[2],
+        u[0] * v[1] - u[1] * v[0],
+    )
+    return math.atan2(length(cross), u[0] * v[0] + u[1] * v[1] + u[2] * v[2])
+
+
+# --- Algorithm 1 --------------------------------------------------------------------------------
+
+
+def equal_hue(c1, c2):
+    """Whether one difference vector is a positive multiple of the other; a grey is of any hue."""
+    return angle(difference(c1), difference(c2)) <= ROUNDING_ANGLE
+
+
+def opposite_color(c1, c2):
+    """The colour opposite to c1, with the luminance and saturation of c2."""
+    d1, d2 = difference(c1), difference(c2)
+    return color(luminance(c2), scaled(-length(d2), unit(d1)))
+
+
+def opposite_hue(c1, c2):
+    """Whether two colours on one line through the grey axis lie on different sides of it.
+
+    All that Algorithm 1 asks of its tentative colour; unlike `equal_hue` it is sure near grey,
+    where the direction is rounding.
+    """
+    return angle(difference(c1), difference(c2)) > math.pi / 2
+
+
+def add_different_hues(c1, c2):
+    """The else branch of Algorithm 1: c1 is tried as the dominant colour first."""
+    if length(difference(c1)) == 0 or length(difference(c2)) == 0:
+        return added(c1, c2)
+    c_new = added(c1, opposite_color(c1, c2))
+    if opposite_hue(c1, c_new):
+        c_new = added(opposite_color(c2, c1), c2)
+    return c_new
+
+
+def algorithm_1(c1, c2):
+    """c1 ⊕ c2 as the paper has it."""
+    if equal_hue(c1, c2):
+        return added(c1, c2)
+    return add_different_hues(c1, c2)
+
+
+def shoulder(theta, hue_tolerance):
+    """How equal two hues `theta` radians apart count, 1 to 0; the tolerance is in degrees."""
+    if hue_tolerance == 0:
+        return 1.0 if theta <= ROUNDING_ANGLE else 0.0
+    tau = math.radians(hue_tolerance)
+    if theta <= tau:
+        return 1.0
+    if theta >= 2 * tau:
+        return 0.0
+    t = (2 * tau - theta) / tau
+    return t * t * (3 - 2 * t)
+
+
+def hue_add(c1, c2, hue_tolerance=2.0):
+    """c1 ⊕ c2 with a tolerance in degrees."""
+    if hue_tolerance == 0:
+        return algorithm_1(c1, c2)
+    e = shoulder(angle(difference(c1), difference(c2)), hue_tolerance)
+    return added(scaled(e, added(c1, c2)), scaled(1 - e, add_different_hues(c1, c2)))
+
+
+def simultaneous(terms, hue_tolerance=2.0):
+    """All terms at once: each is scaled by its strongest rival of another hue."""
+    y = math.fsum(luminance(c) for c in terms)
+    p = [difference(c) for c in terms if length(difference(c)) > 0]
+    n = len(p)
+    m = [length(v) for v in p]
+    e = [[shoulder(angle(p[i], p[j]), hue_tolerance) for j in range(n)] for i in range(n)]
+    total = (0.0, 0.0, 0.0)
+    for i in range(n):
+        strongest = 0.0
+        for j in range(n):
+            if j == i:
+                continue
+            support_i = sum(e[i][k] * m[k] * (1 - e[j][k]) for k in range(n))
+            support_j = sum(e[j][k] * m[k] * (1 - e[i][k]) for k in range(n))
+            # What j's own hue can hold at most. It vanishes with m_j and counts no terms: n·m_j
+            # would let a term of no chroma change the others by changing n.
+            cap = sum(min(m[j], m[k]) for k in range(n))
+            rival = min(support_j, cap)
+            if support_i == 0:
+                q = 0.0
+            elif rival >= support_i:
+                q = 1.0
+            else:
+                q = rival / support_i
+            strongest = max(strongest, (1 - e[i][j]) * q)
+        total = added(total, scaled(1 - strongest, p[i]))
+    return color(y, total)
+
+
+# --- operators and stacks -----------------------------------------------------------------------
+
+
+def factors(op, alpha_a, alpha_b):
+    """(F_A, F_B) of an operator; A is the layer, B the stack below it."""
+    if op == "clear":
+        return 0.0, 0.0
+    if op in ("src", "copy"):
+        return 1.0, 0.0
+    if op == "dst":
+        return 0.0, 1.0
+    if op in ("over", "src-over"):
+        return 1.0, 1 - alpha_a
+    if op in ("dst-over", "under"):
+        return 1 - alpha_b, 1.0
+    if op in ("in", "src-in"):
+        return alpha_b, 0.0
+    if op in ("dst-in", "mask"):
+        return 0.0, alpha_a
+    if op in ("out", "src-out"):
+        return 1 - alpha_b, 0.0
+    if op in ("dst-out", "stencil"):
+        return 0.0, 1 - alpha_a
+    if op in ("atop", "src-atop"):
+        return alpha_b, 1 - alpha_a
+    if op == "dst-atop":
+        return 1 - alpha_b, alpha_a
+    if op == "xor":
+        return 1 - alpha_b, 1 - alpha_a
+    if op in ("plus", "add", "lighter"):
+        return 1.0, 1.0
+    raise ValueError(op)
+
+
+def alpha_of(op, alpha_a, alpha_b):
+    f_a, f_b = factors(op, alpha_a, alpha_b)
+    return min(1.0, f_a * alpha_a + f_b * alpha_b)
+
+
+def as_read(layers, opacities):
+    """The layers with alpha clamped to [0, 1], colour not, both scaled by the opacity."""
+    result = []
+    for layer, opacity in zip(layers, opacities, strict=True):
+        c = tuple(float(component) for component in layer[:3])
+        alpha = min(1.0, max(0.0, float(layer[3])))
+        result.append((scaled(opacity, c), opacity * alpha))
+    return result
+
+
+def weights(alphas, ops):
+    """(w, alpha): w_i of the term w_i c_i of each layer, and the alpha of the stack."""
+    f_a, f_b = [1.0], [0.0]
+    alpha = alphas[0]
+    for i in range(1, len(alphas)):
+        a, b = factors(ops[i], alphas[i], alpha)
+        f_a.append(a)
+        f_b.append(b)
+        alpha = alpha_of(ops[i], alphas[i], alpha)
+    w = []
+    for i in range(len(alphas)):
+        weight = f_a[i]
+        for j in range(i + 1, len(alphas)):
+            weight *= f_b[j]
+        w.append(weight)
+    return w, alpha
+
+
+def plus(c1, c2, hue_tolerance):
+    return added(c1, c2)
+
+
+def fold(add, terms, hue_tolerance):
+    result = terms[0]
+    for term in terms[1:]:
+        result = add(result, term, hue_tolerance)
+    return result
+
+
+def balanced(add, terms, hue_tolerance):
+    """A tree of pairs of neighbours, from the bottom; the odd one goes up as it is."""
+    while len(terms) > 1:
+        level = []
+        for i in range(0, len(terms) - 1, 2):
+            level.append(add(terms[i], terms[i + 1], hue_tolerance))
+        if len(terms) % 2 == 1:
+            level.append(terms[-1])
+        terms = level
+    return terms[0]
+
+
+def composite(
+    layers,
+    ops=None,
+    opacities=None,
+    blending="hue-preserving",
+    order="bottom-up",
+    hue_tolerance=2.0,
+    background=None,
+):
+    """(R, G, B, alpha) of a stack, bottom first; ops[0] is not looked at.
+
+    `bottom-up` nests the operators as they are read, c ← F_A c_i ⊕ F_B c; the other orders reduce
+    the weighted terms. `order` is a name or a sequence of layer numbers.
+    """
+    n = len(layers)
+    ops = ["over"] * n if ops is None else ops
+    read = as_read(layers, [1.0] * n if opacities is None else opacities)
+    if blending == "hue-preserving":
+        add = hue_add
+    elif blending == "traditional":
+        add = plus
+    else:
+        raise ValueError(blending)
+    if order == "bottom-up":
+        c, alpha = read[0]
+        for i in range(1, n):
+            c_i, alpha_i = read[i]
+            f_a, f_b = factors(ops[i], alpha_i, alpha)
+            c = add(scaled(f_a, c_i), scaled(f_b, c), hue_tolerance)
+            alpha = alpha_of(ops[i], alpha_i, alpha)
+    else:
+        w, alpha = weights([alpha_i for _, alpha_i in read], ops)
+        terms = [scaled(w[i], read[i][0]) for i in range(n)]
+        if order == "top-down":
+            c = fold(add, terms[::-1], hue_tolerance)
+        elif order == "balanced":
+            c = balanced(add, terms, hue_tolerance)
+        elif order == "simultaneous" and blending == "traditional":
+            c = fold(plus, terms, hue_tolerance)
+        elif order == "simultaneous":
+            c = simultaneous(terms, hue_tolerance)
+        elif not isinstance(order, str) and sorted(order) == list(range(n)):
+            c = fold(add, [terms[i] for i in order], hue_tolerance)
+        else:
+            raise ValueError(order)
+    if background is not None:
+        c = add(c, scaled(1 - alpha, background), hue_tolerance)
+        alpha = alpha + (1 - alpha)
+    return (*c, alpha)
