@@ -1,27 +1,37 @@
-"""The reference engine: stacks of arrays to one array, in numpy. No files here.
+"""Stacks of arrays to one array, by either engine: the rules of a stack, and how it is reduced.
 
 A stack is a reduction with ⊕ of the terms `w_i c_i`: the operators turn alphas into weights, the
-blend order reduces the terms. Orders that can be folded while the layers arrive hold one
-accumulator; the others hold every layer.
+blend order reduces the terms. No files here.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from enum import Enum
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from . import addition, orders, porter_duff, spaces
 from .addition import DEFAULT_HUE_TOLERANCE
+from .encoding import Losses
 from .errors import MismatchError, SettingError
+from .samples import Strip
 
 Array = NDArray[np.floating[Any]]
 
-#: Pixels that are composited at a time, so that a few planes of them stay in the L2 cache.
-BLOCK_PIXELS = 16_384
+#: Pixels that `composite` hands to an engine at a time.
+STRIP_PIXELS = 1 << 18
+
+
+class Reduction(Enum):
+    """How an engine reduces a stack: a fold holds one accumulator, else it holds every layer."""
+
+    BOTTOM_UP = "bottom-up"
+    FRONT_TO_BACK = "front-to-back"
+    ALL_LAYERS = "all-layers"
 
 
 @dataclass(frozen=True)
@@ -50,15 +60,20 @@ class StackRules:
         return self.blending.add_all(terms, self.hue_tolerance)
 
     @property
-    def arrival(self) -> Sequence[int]:
-        """The layers' numbers in the order in which the accumulator takes them."""
-        numbers = range(len(self.operators))
-        return numbers[::-1] if accumulator_type(self) is FrontToBack else numbers
+    def reduction(self) -> Reduction:
+        """The leanest way to reduce this stack while its layers arrive."""
+        if self.order is orders.ORDERS["bottom-up"] or not self.blending.depends_on_order:
+            return Reduction.BOTTOM_UP
+        only_over = all(row is None or row.name == "over" for row in self.operators)
+        if self.order is orders.ORDERS["top-down"] and only_over:
+            return Reduction.FRONT_TO_BACK
+        return Reduction.ALL_LAYERS
 
     @property
-    def holds_all_layers(self) -> bool:
-        """Whether this order needs the pixels of every layer at once."""
-        return accumulator_type(self) is AllLayers
+    def arrival(self) -> Sequence[int]:
+        """The layers' numbers in the order in which an engine takes them."""
+        numbers = range(len(self.operators))
+        return numbers[::-1] if self.reduction is Reduction.FRONT_TO_BACK else numbers
 
 
 def stack_rules(
@@ -126,6 +141,8 @@ def composite(layers: Sequence[ArrayLike], **rules: Any) -> Array:
     """
     checked = stack_rules(len(layers), **rules)
     arrays = [np.asarray(layer) for layer in layers]
+    from . import engine  # the engines need the rules above
+
     dtype = np.result_type(np.float32, *(a.dtype for a in arrays if a.dtype == np.float64))
     shape = arrays[0].shape
     for number, array in enumerate(arrays):
@@ -139,14 +156,14 @@ def composite(layers: Sequence[ArrayLike], **rules: Any) -> Array:
                 "place all layers on one canvas first"
             )
     flat = [array.reshape(-1, 4) for array in arrays]
-    result = np.empty((flat[0].shape[0], 4), dtype)
-    for block in _blocks(len(result)):
-        accumulator = start(checked, block.stop - block.start, dtype)
+    result = np.empty((len(flat[0]), 4), dtype)
+    for begin in range(0, len(result), STRIP_PIXELS):
+        end = min(begin + STRIP_PIXELS, len(result))
+        accumulator = engine.start(checked, end - begin, 1, dtype)
         for number in checked.arrival:
-            rgba = flat[number][block].astype(dtype)
-            np.clip(rgba[:, 3], 0, 1, out=rgba[:, 3])
-            accumulator.add(number, rgba)
-        result[block] = accumulator.result()
+            rgba = np.ascontiguousarray(flat[number][begin:end], dtype)
+            accumulator.add([number], [Strip(rgba[None])])
+        result[begin:end] = accumulator.result(dtype.name, Losses())[0]
     return result.reshape(shape)
 
 
@@ -175,153 +192,3 @@ def hue_add(
     y2, p2 = blending_space.forward(b.reshape(-1, 3).T.astype(dtype))
     p = addition.add_hue_preserving(p1, p2, tolerance)
     return blending_space.inverse(y1 + y2, p).T.reshape(a.shape)  # Eq. 1
-
-
-class Accumulator(Protocol):
-    """Takes the layers of one strip in `rules.arrival` order, and gives their composite."""
-
-    def __init__(self, rules: StackRules, n_pixels: int, dtype: Any) -> None: ...
-
-    def add(self, number: int, rgba: Array) -> None:
-        """Layer `number`: (n_pixels, 4), linear, premultiplied, alpha in [0, 1]."""
-
-    def result(self) -> Array:
-        """The composite: (n_pixels, 4), linear, premultiplied."""
-
-
-def start(rules: StackRules, n_pixels: int, dtype: Any = np.float32) -> Accumulator:
-    """An empty accumulator of the leanest kind that can reduce this stack."""
-    return accumulator_type(rules)(rules, n_pixels, dtype)
-
-
-def accumulator_type(rules: StackRules) -> type[Accumulator]:
-    """The leanest way to reduce a stack as its layers arrive."""
-    if rules.order is orders.ORDERS["bottom-up"] or not rules.blending.depends_on_order:
-        return BottomUp
-    only_over = all(row is None or row.name == "over" for row in rules.operators)
-    if rules.order is orders.ORDERS["top-down"] and only_over:
-        return FrontToBack
-    return AllLayers
-
-
-class BottomUp:
-    """Folds layers from the bottom: c ← F_A c_i ⊕ F_B c, the operators taken literally."""
-
-    def __init__(self, rules: StackRules, n_pixels: int, dtype: Any) -> None:
-        self.rules = rules
-        self.luminance, self.alpha = np.zeros((2, n_pixels), dtype)
-        self.p = np.zeros((2, n_pixels), dtype)
-
-    def add(self, number: int, rgba: Array) -> None:
-        operator = self.rules.operators[number]
-        for block in _blocks(len(rgba)):
-            luminance, p, alpha = _term(self.rules, number, rgba[block])
-            if operator is not None:
-                alpha_below = self.alpha[block]
-                f_a, f_b = operator.factors(alpha, alpha_below)
-                luminance = f_a * luminance + f_b * self.luminance[block]  # [R1]
-                p = self.rules.add(f_a * p, f_b * self.p[:, block])  # Eq. 2 with ⊕
-                alpha = operator.alpha(alpha, alpha_below)
-            self.luminance[block], self.p[:, block], self.alpha[block] = luminance, p, alpha
-
-    def result(self) -> Array:
-        return _result(self.rules, self.luminance, self.p, self.alpha)
-
-
-class FrontToBack:
-    """Folds layers from the top, all `over`: beside them only the transmittance is kept."""
-
-    def __init__(self, rules: StackRules, n_pixels: int, dtype: Any) -> None:
-        self.rules = rules
-        self.luminance, self.alpha = np.zeros((2, n_pixels), dtype)
-        self.p = np.zeros((2, n_pixels), dtype)
-        self.transmittance = np.ones(n_pixels, dtype)
-
-    def add(self, number: int, rgba: Array) -> None:
-        for block in _blocks(len(rgba)):
-            luminance, p, alpha = _term(self.rules, number, rgba[block])
-            weight = self.transmittance[block]
-            self.luminance[block] += weight * luminance  # [R1]
-            self.p[:, block] = self.rules.add(self.p[:, block], weight * p)
-            self.alpha[block] += weight * alpha
-            self.transmittance[block] *= 1 - alpha
-
-    def result(self) -> Array:
-        return _result(self.rules, self.luminance, self.p, np.minimum(self.alpha, 1))
-
-
-class AllLayers:
-    """Keeps every layer until all have come, then reduces the weighted terms in any order."""
-
-    def __init__(self, rules: StackRules, n_pixels: int, dtype: Any) -> None:
-        self.rules = rules
-        self.layers: list[Array] = []
-
-    def add(self, number: int, rgba: Array) -> None:
-        self.layers.append(rgba)
-
-    def result(self) -> Array:
-        rgba = np.empty_like(self.layers[0])
-        for block in _blocks(len(rgba)):
-            rgba[block] = self._reduced([layer[block] for layer in self.layers])
-        return rgba
-
-    def _reduced(self, layers: list[Array]) -> Array:
-        rules = self.rules
-        terms = [_term(rules, number, rgba) for number, rgba in enumerate(layers)]
-        alpha = terms[0][2]
-        factors: list[tuple[Any, Any]] = [(1.0, 0.0)]
-        for operator, (_, _, alpha_layer) in zip(rules.operators[1:], terms[1:], strict=True):
-            assert operator is not None
-            factors.append(operator.factors(alpha_layer, alpha))
-            alpha = operator.alpha(alpha_layer, alpha)
-        # w_i = F_A,i · Π F_B of the layers above: gathered from the top.
-        above: Any = np.ones_like(alpha)
-        weights = []
-        for f_a, f_b in reversed(factors):
-            weights.append(f_a * above)
-            above = f_b * above
-        weights.reverse()
-        luminance = np.zeros_like(alpha)
-        p = np.empty((len(terms), 2, len(alpha)), alpha.dtype)
-        for number, (weight, (luminance_layer, p_layer, _)) in enumerate(
-            zip(weights, terms, strict=True)
-        ):
-            luminance += weight * luminance_layer  # [R1]
-            p[number] = weight * p_layer
-        return _result(rules, luminance, rules.order.reduce(p, rules.add, rules.add_all), alpha)
-
-
-def _blocks(n_pixels: int) -> Iterator[slice]:
-    for begin in range(0, n_pixels, BLOCK_PIXELS):
-        yield slice(begin, min(begin + BLOCK_PIXELS, n_pixels))
-
-
-def _term(rules: StackRules, number: int, rgba: Array) -> tuple[Array, Array, Array]:
-    """(Y, p, α) of layer `number` scaled by its opacity; rgba (n, 4) → (n), (2, n), (n)."""
-    planes = np.ascontiguousarray(rgba.T)
-    opacity = rules.opacities[number]
-    if opacity != 1:
-        planes = planes * opacity
-    luminance, p = rules.space.forward(planes[:3])
-    return luminance, p, planes[3]
-
-
-def _result(rules: StackRules, luminance: Array, p: Array, alpha: Array) -> Array:
-    """The reduced stack over its background and exposed, as RGBA (n, 4)."""
-    rgba = np.empty((len(alpha), 4), alpha.dtype)
-    for block in _blocks(len(alpha)):
-        y_block, p_block, a_block = luminance[block], p[:, block], alpha[block]
-        if rules.background is not None:
-            colour = np.array(rules.background, alpha.dtype)[:, None]
-            y_below, p_below = rules.space.forward(colour)
-            uncovered = 1 - a_block
-            y_block = y_block + uncovered * y_below
-            p_block = rules.add(p_block, uncovered * p_below)
-            a_block = np.ones_like(a_block)
-        rgb = rules.space.inverse(y_block, p_block)
-        if rules.exposure:
-            rgb *= 2.0**rules.exposure
-        rgba[block, :3] = rgb.T
-        rgba[block, 3] = a_block
-    return rgba

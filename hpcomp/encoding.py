@@ -7,7 +7,7 @@ from composited colour to the straight sRGB code values of a PNG. No files here.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
@@ -249,6 +249,15 @@ class Losses:
     light_without_alpha: int = 0
     not_a_number: int = 0
     beyond_half: int = 0
+
+    @staticmethod
+    def sum(parts: Iterable[Losses]) -> Losses:
+        """The counts of all parts together."""
+        total = Losses()
+        for part in parts:
+            for name in vars(total):
+                setattr(total, name, getattr(total, name) + getattr(part, name))
+        return total
 
 
 def to_straight_srgb(

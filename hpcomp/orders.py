@@ -44,10 +44,14 @@ def _simultaneous(terms: Array, add: Add, add_all: AddAll) -> Array:
 
 @dataclass(frozen=True)
 class Order:
-    """A blend order: its name, and how it reduces the terms of a stack."""
+    """A blend order: its name, and how it reduces the terms of a stack.
+
+    `sequence` is that of an explicit permutation.
+    """
 
     name: str
     reduce: Reduction
+    sequence: tuple[int, ...] = ()
 
 
 ORDERS: dict[str, Order] = {
@@ -68,12 +72,12 @@ def _permutation(sequence: Sequence[int], n_layers: int) -> Order:
             f"order {','.join(map(str, sequence))} is not a permutation: name each of the layers "
             f"0 to {n_layers - 1} exactly once"
         )
-    numbers = [int(number) for number in sequence]
+    numbers = tuple(int(number) for number in sequence)
 
     def reduce_permuted(terms: Array, add: Add, add_all: AddAll) -> Array:
         return reduce(add, (terms[number] for number in numbers))
 
-    return Order(",".join(map(str, numbers)), reduce_permuted)
+    return Order(",".join(map(str, numbers)), reduce_permuted, numbers)
 
 
 def order(name: str | Sequence[int], n_layers: int) -> Order:

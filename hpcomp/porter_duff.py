@@ -7,8 +7,8 @@ Compositing and Blending Level 1.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
+from enum import IntEnum
 from typing import Any
 
 import numpy as np
@@ -17,23 +17,29 @@ from numpy.typing import ArrayLike, NDArray
 from .errors import unknown_name
 
 Alpha = NDArray[np.floating[Any]]
-Factor = Callable[[Alpha], Alpha | float]
 
 
-def _zero(alpha: Alpha) -> float:
-    return 0.0
+class Factor(IntEnum):
+    """What a colour is multiplied by: a function of the other picture's alpha."""
+
+    ZERO = 0
+    ONE = 1
+    ALPHA = 2
+    REST = 3  # 1 − alpha
+
+    def __call__(self, alpha: Alpha) -> Alpha | float:
+        match self:
+            case Factor.ZERO:
+                return 0.0
+            case Factor.ONE:
+                return 1.0
+            case Factor.ALPHA:
+                return alpha
+            case Factor.REST:
+                return 1 - alpha
 
 
-def _one(alpha: Alpha) -> float:
-    return 1.0
-
-
-def _alpha(alpha: Alpha) -> Alpha:
-    return alpha
-
-
-def _rest(alpha: Alpha) -> Alpha:
-    return 1 - alpha
+_ZERO, _ONE, _ALPHA, _REST = Factor
 
 
 @dataclass(frozen=True)
@@ -71,19 +77,19 @@ OPERATORS: dict[str, Operator] = {
     row.name: row
     for row in (
         #        name        aliases            F_A     F_B
-        Operator("clear",    (),                _zero,  _zero),
-        Operator("src",      ("copy",),         _one,   _zero),
-        Operator("dst",      (),                _zero,  _one),
-        Operator("over",     ("src-over",),     _one,   _rest),
-        Operator("dst-over", ("under",),        _rest,  _one),
-        Operator("in",       ("src-in",),       _alpha, _zero),
-        Operator("dst-in",   ("mask",),         _zero,  _alpha),
-        Operator("out",      ("src-out",),      _rest,  _zero),
-        Operator("dst-out",  ("stencil",),      _zero,  _rest),
-        Operator("atop",     ("src-atop",),     _alpha, _rest),
-        Operator("dst-atop", (),                _rest,  _alpha),
-        Operator("xor",      (),                _rest,  _rest),
-        Operator("plus",     ("add", "lighter"), _one,  _one),
+        Operator("clear",    (),                _ZERO,  _ZERO),
+        Operator("src",      ("copy",),         _ONE,   _ZERO),
+        Operator("dst",      (),                _ZERO,  _ONE),
+        Operator("over",     ("src-over",),     _ONE,   _REST),
+        Operator("dst-over", ("under",),        _REST,  _ONE),
+        Operator("in",       ("src-in",),       _ALPHA, _ZERO),
+        Operator("dst-in",   ("mask",),         _ZERO,  _ALPHA),
+        Operator("out",      ("src-out",),      _REST,  _ZERO),
+        Operator("dst-out",  ("stencil",),      _ZERO,  _REST),
+        Operator("atop",     ("src-atop",),     _ALPHA, _REST),
+        Operator("dst-atop", (),                _REST,  _ALPHA),
+        Operator("xor",      (),                _REST,  _REST),
+        Operator("plus",     ("add", "lighter"), _ONE,  _ONE),
     )
 }  # fmt: skip
 

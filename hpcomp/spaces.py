@@ -28,6 +28,19 @@ REC709_WEIGHTS: tuple[float, float, float] = (
 
 
 @dataclass(frozen=True)
+class PlaneCoefficients:
+    """A space whose maps are linear, as numbers: what the fused engine needs of it.
+
+    `weights`: of red and blue in the luminance. `to_p` (2, 2): p from red − green and blue − green.
+    `from_p` (3, 2): what p adds to each channel.
+    """
+
+    weights: tuple[float, float]
+    to_p: tuple[tuple[float, float], ...]
+    from_p: tuple[tuple[float, float], ...]
+
+
+@dataclass(frozen=True)
 class Space:
     """A blending space: two maps between linear premultiplied RGB and (Y, p), of degree 1.
 
@@ -39,6 +52,7 @@ class Space:
     name: str
     forward: Callable[[Array], tuple[Array, Array]]
     inverse: Callable[[Array, Array], Array]
+    coefficients: PlaneCoefficients
 
 
 def _plane_basis(weights: tuple[float, float, float]) -> NDArray[np.float64]:
@@ -56,30 +70,35 @@ def linear_rgb(weights: tuple[float, float, float] = REC709_WEIGHTS) -> Space:
     `weights`: luminance of the three primaries, summing to 1. Chuang et al. 2009, §4.
     """
     basis = _plane_basis(weights)
-    w_red, _, w_blue = (float(w) for w in weights)
     # The columns of basis · (I − 1 wᵀ) sum to zero, as do those of d: two differences to green
     # carry all of p, and a grey gives exactly zero whatever its rounding.
     columns = basis - basis.sum(axis=1, keepdims=True) * np.array(weights)
+    found = PlaneCoefficients(
+        weights=(float(weights[0]), float(weights[2])),
+        to_p=tuple((float(row[0]), float(row[2])) for row in columns),
+        from_p=tuple((float(column[0]), float(column[1])) for column in basis.T),
+    )
 
     def forward(rgb: Array) -> tuple[Array, Array]:
         red, green, blue = rgb
         red_green, blue_green = red - green, blue - green
+        w_red, w_blue = found.weights
         luminance = green + w_red * red_green + w_blue * blue_green
         p = np.empty((2, *rgb.shape[1:]), rgb.dtype)
-        for axis in range(2):
-            np.multiply(red_green, float(columns[axis, 0]), out=p[axis])
-            p[axis] += blue_green * float(columns[axis, 2])
+        for axis, (of_red, of_blue) in enumerate(found.to_p):
+            np.multiply(red_green, of_red, out=p[axis])
+            p[axis] += blue_green * of_blue
         return luminance, p
 
     def inverse(luminance: Array, p: Array) -> Array:
         rgb = np.empty((3, *p.shape[1:]), p.dtype)
-        for channel in range(3):
-            np.multiply(p[0], float(basis[0, channel]), out=rgb[channel])
-            rgb[channel] += p[1] * float(basis[1, channel])
+        for channel, (of_p0, of_p1) in enumerate(found.from_p):
+            np.multiply(p[0], of_p0, out=rgb[channel])
+            rgb[channel] += p[1] * of_p1
             rgb[channel] += luminance
         return rgb
 
-    return Space("linear-rgb", forward, inverse)
+    return Space("linear-rgb", forward, inverse, found)
 
 
 SPACES: dict[str, Space] = {row.name: row for row in (linear_rgb(),)}

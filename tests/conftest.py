@@ -1,22 +1,33 @@
-"""What every test shares: the Hypothesis profile and the engines; strategies live beside it."""
+"""What every test file shares: the Hypothesis profile and the engines. Strategies live beside it."""
 
+import functools
 import os
 
 import pytest
 from hypothesis import settings
 
-from hpcomp.compositing import composite as reference_composite
+from hpcomp import compositing, engine
 
 # Reproducible by default: a failure in CI fails on every machine. `thorough` looks for new cases.
 settings.register_profile("default", deadline=None, derandomize=True, max_examples=100)
 settings.register_profile("thorough", deadline=None, print_blob=True, max_examples=3000)
 settings.load_profile(os.environ.get("HPCOMP_HYPOTHESIS", "default"))
 
-#: Every implementation of `composite`; a test that takes the fixture runs through each of them.
-ENGINES = {"reference": reference_composite}
+
+def composite_by(name, *arguments, **rules):
+    """`hpcomp.composite` by the engine of that name."""
+    before = os.environ.get(engine.VARIABLE)
+    os.environ[engine.VARIABLE] = name
+    try:
+        return compositing.composite(*arguments, **rules)
+    finally:
+        if before is None:
+            del os.environ[engine.VARIABLE]
+        else:
+            os.environ[engine.VARIABLE] = before
 
 
-@pytest.fixture(scope="session", params=list(ENGINES))
+@pytest.fixture(scope="session", params=engine.NAMES)
 def composite(request):
     """`hpcomp.composite`, once per engine. Of the session's scope, as Hypothesis asks."""
-    return ENGINES[request.param]
+    return functools.partial(composite_by, request.param)

@@ -1,0 +1,65 @@
+"""Which engine composites: the fused kernel where it was built, else the reference.
+
+Both have the same face: `NAME`, and `start(rules, width, height, dtype)` for a strip, whose `add`
+takes layers, whose `result` gives samples, and whose `nonfinite` counts pixels with NaN or Inf.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from types import ModuleType
+from typing import Any, Protocol
+
+import numpy as np
+
+from . import reference
+from .compositing import StackRules
+from .encoding import Losses
+from .errors import SettingError, unknown_name
+from .samples import Samples, Strip
+
+#: The environment variable that chooses.
+VARIABLE = "HPCOMP_ENGINE"
+NAMES = ("kernel", "reference")
+
+
+class Accumulator(Protocol):
+    """Takes the layers of one strip in `rules.arrival` order, and gives their composite."""
+
+    nonfinite: Sequence[int]
+
+    def add(self, numbers: Sequence[int], strips: Sequence[Strip]) -> None:
+        """Layers by number."""
+
+    def result(self, kind: str, losses: Losses) -> Samples:
+        """The composite (height, width, 4), as samples of that kind."""
+
+
+def _kernel() -> ModuleType | None:
+    try:
+        from . import kernel
+    except ImportError:
+        return None
+    return kernel
+
+
+def active() -> ModuleType:
+    """The engine that composites now. Errors: `SettingError` for one that there is not."""
+    wanted = os.environ.get(VARIABLE) or None
+    if wanted not in (None, *NAMES):
+        raise unknown_name(f"engine in {VARIABLE}", str(wanted), NAMES)
+    kernel = None if wanted == "reference" else _kernel()
+    if wanted == "kernel" and kernel is None:
+        raise SettingError(
+            f"{VARIABLE} asks for the kernel, which was not built: install hpcomp again with a "
+            "C++ compiler at hand"
+        )
+    return kernel or reference
+
+
+def start(rules: StackRules, width: int, height: int, dtype: Any = np.float32) -> Accumulator:
+    """An empty accumulator of the active engine; float64 is composited by the reference."""
+    engine = reference if dtype == np.float64 else active()
+    accumulator: Accumulator = engine.start(rules, width, height, dtype)
+    return accumulator

@@ -1,0 +1,169 @@
+"""The fused engine: every pixel from stored samples to stored samples in one pass, in C++.
+
+Says in numbers what the rules and the decodings say in tables; the loops are in `block.cpp`, and
+what they are given is checked in `module.cpp`. Fails to import where it was not built.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Sequence
+from functools import cache, lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..compositing import Reduction, StackRules
+from ..encoding import SRGB, Losses, decode_table, to_rec709
+from ..orders import ORDERS
+from ..porter_duff import Factor
+from ..samples import OUTPUT_TYPES, PLAIN, Decoding, Samples, Strip, linear_rgba
+from . import _kernel  # type: ignore[attr-defined]
+
+NAME = "kernel"
+#: Whether strips are widened to float RGBA on the way.
+DECODES_IN_NUMPY = False
+
+#: Chooses an instruction set by name; the tests compare them.
+LEVEL_VARIABLE = "HPCOMP_KERNEL_LEVEL"
+
+#: The numbers of the reductions in `block.h`.
+_BOTTOM_UP, _FRONT_TO_BACK, _PERMUTATION, _BALANCED, _SIMULTANEOUS = range(5)
+
+
+def levels() -> list[str]:
+    """The instruction sets that were built and that this processor runs, the fastest last."""
+    return list(_kernel.levels())
+
+
+def start(rules: StackRules, width: int, height: int, dtype: Any = np.float32) -> Accumulator:
+    """An empty accumulator for a strip of that size."""
+    return Accumulator(rules, width, height)
+
+
+class Accumulator:
+    """Takes the layers of one strip in `rules.arrival` order, and gives their composite."""
+
+    def __init__(self, rules: StackRules, width: int, height: int) -> None:
+        self.rules, self.shape = rules, (height, width, 4)
+        self.nonfinite = [0] * len(rules.operators)
+        level = os.environ.get(LEVEL_VARIABLE, "")
+        self._strip = _kernel.Accumulator(_rules(rules), width, height, level)
+
+    def add(self, numbers: Sequence[int], strips: Sequence[Strip]) -> None:
+        """Layers by number; `nonfinite` counts their pixels with NaN or Inf."""
+        layers = [self._layer(n, strip) for n, strip in zip(numbers, strips, strict=True)]
+        for number, count in zip(numbers, self._strip.add(list(numbers), layers), strict=True):
+            self.nonfinite[number] += count
+
+    def _layer(self, number: int, strip: Strip) -> Any:
+        samples, decoding = strip.samples, strip.decoding
+        if not decoding.is_plain(samples):
+            samples, self.nonfinite[number] = linear_rgba(strip)
+            decoding = PLAIN
+        operator = self.rules.operators[number]
+        factors = (Factor.ONE, Factor.ZERO)
+        if operator is not None:
+            factors = (operator.factor_a, operator.factor_b)
+        return _kernel.layer(
+            samples,
+            _table(samples, decoding),
+            decoding.alpha_mode == "straight",
+            _matrix(decoding),
+            strip.left,
+            strip.top,
+            self.rules.opacities[number],
+            *map(int, factors),
+            decoding.zero_nonfinite,
+        )
+
+    def result(self, kind: str, losses: Losses) -> Samples:
+        """The composite (height, width, 4), as samples of that kind."""
+        out = np.empty(self.shape, OUTPUT_TYPES[_SAME_TYPE.get(kind, kind)])
+        counts, nonfinite = self._strip.result(out, *_codes(out.dtype))
+        losses.out_of_gamut += counts[0]
+        losses.light_without_alpha += counts[1]
+        losses.not_a_number += counts[2]
+        losses.beyond_half += counts[3]
+        for number, count in enumerate(nonfinite):
+            self.nonfinite[number] += count
+        return out
+
+
+_SAME_TYPE = {"float32": "float"}
+
+
+@lru_cache(maxsize=8)
+def _rules(rules: StackRules) -> Any:
+    n = len(rules.operators)
+    order, sequence = _PERMUTATION, rules.order.sequence
+    if rules.reduction is Reduction.BOTTOM_UP:
+        order = _BOTTOM_UP
+    elif rules.reduction is Reduction.FRONT_TO_BACK:
+        order = _FRONT_TO_BACK
+    elif rules.order is ORDERS["balanced"]:
+        order = _BALANCED
+    elif rules.order is ORDERS["simultaneous"]:
+        order = _SIMULTANEOUS
+    elif rules.order is ORDERS["top-down"]:
+        sequence = tuple(reversed(range(n)))
+    background = None
+    if rules.background is not None:
+        luminance, p = rules.space.forward(np.array(rules.background, np.float32)[:, None])
+        background = [float(luminance[0]), float(p[0, 0]), float(p[1, 0])]
+    found = rules.space.coefficients
+    return _kernel.rules(
+        rules.blending.depends_on_order,
+        math.radians(rules.hue_tolerance),
+        order,
+        list(sequence),
+        n,
+        background,
+        2.0**rules.exposure,
+        list(found.weights),
+        [value for row in found.to_p for value in row],
+        [value for row in found.from_p for value in row],
+    )
+
+
+def _table(samples: Samples, decoding: Decoding) -> NDArray[np.float32] | None:
+    if samples.dtype.kind != "u":
+        return None
+    return decode_table(decoding.encoding.transfer, int(np.iinfo(samples.dtype).max))
+
+
+@cache
+def _matrix(decoding: Decoding) -> list[float] | None:
+    matrix = to_rec709(decoding.encoding.primaries)
+    return None if matrix is None else [float(value) for value in matrix.ravel()]
+
+
+#: Buckets an octave of linear light: so many that hardly one holds two thresholds.
+_BUCKET_BITS = {8: 7, 16: 12}
+
+
+@cache
+def _codes(dtype: np.dtype[Any]) -> tuple[Any, ...]:
+    """How linear light becomes code values: thresholds, the first code of each bucket, limits.
+
+    A code begins half a step below its value. Buckets are runs of float32 numbers, found by
+    shifting their bits; from the first code of its bucket a value climbs to its own.
+    """
+    if dtype.kind != "u":
+        return None, None, 1, [0.0, 0.0, 0.0, 0.0]
+    largest = int(np.iinfo(dtype).max)
+    steps = (np.arange(largest) + 0.5) / largest
+    thresholds = np.append(SRGB.decode(steps), np.inf).astype(np.float32)
+    smallest = 2.0 ** math.floor(math.log2(float(thresholds[0])))
+    bits = _BUCKET_BITS[dtype.itemsize * 8]
+    octaves = -int(math.log2(smallest))
+    start_bits = np.float32(smallest).view(np.uint32)
+    begins = (start_bits + (np.arange((octaves << bits) + 1, dtype=np.uint32) << (23 - bits))).view(
+        np.float32
+    )
+    first_code = np.searchsorted(thresholds, begins, side="right").astype(np.uint16)
+    half_code = 0.5 / largest
+    lowest, darkest, highest = SRGB.decode(np.array([-half_code, half_code, 1 + half_code]))
+    return thresholds, first_code, bits, [float(lowest), float(darkest), float(highest), smallest]

@@ -1,0 +1,82 @@
+// One block of pixels from stored samples to the accumulated stack, and from there to samples.
+// Plain loops over planes that stay in cache and that any compiler vectorises. Everything here has
+// internal linkage: the file is compiled once per instruction set, and no clone may leak out.
+// Only arithmetic whose result IEEE 754 fixes is used, so every clone gives the same bits.
+
+#pragma once
+
+#include <cstdint>
+
+namespace hpcomp {
+
+// Pixels of a block: its planes fill the L1 cache, its terms the L2.
+constexpr int kBlock = 512;
+
+enum class Sample : int { kU8, kU16, kHalf, kFloat };
+enum class Factor : int { kZero, kOne, kAlpha, kRest };
+enum class Order : int { kBottomUp, kFrontToBack, kPermutation, kBalanced, kSimultaneous };
+
+// One layer's strip: rows of interleaved samples and what they mean.
+struct Layer {
+    const void *samples;
+    int64_t row_bytes;
+    Sample type;
+    int channels;           // 1 Y, 2 Y and alpha, 3 RGB, 4 RGBA
+    int alpha_straight;     // colours are to be multiplied by alpha
+    const float *decode;    // linear light of each code; integers only
+    int has_matrix;
+    float matrix[9];        // to the working primaries, by rows
+    int left, top, width, height;  // its rectangle in the strip
+    float opacity;
+    Factor factor_a, factor_b;
+    int zero_nonfinite;     // else NaN and Inf are kept, and counted either way
+};
+
+struct Rules {
+    int hue_preserving;
+    float tolerance, shoulder_end, inverse_tolerance;  // radians; inverse 0 for a hard switch
+    Order order;
+    const int *permutation;  // of the layers, for kPermutation
+    int layers;
+    int has_background;
+    float background_luminance, background_p[2];
+    float gain;              // 2 to the exposure
+    float weight_red, weight_blue;       // luminance weights
+    float to_p[2][2];        // p from red - green and blue - green
+    float from_p[3][2];      // what p adds to each channel
+};
+
+// Planes of the strip so far: luminance, p, alpha, and the transmittance in front.
+struct State {
+    float *luminance, *p0, *p1, *alpha, *transmittance;
+};
+
+// Where a result goes: one of four kinds of sample, RGBA interleaved.
+struct Output {
+    void *samples;
+    Sample type;
+    const float *thresholds;    // integers: linear light where each next code begins
+    const uint16_t *first_code; // integers: the code at the beginning of each bucket
+    int bucket_bits;            // buckets an octave, as a power of two
+    float smallest;             // a power of two below the first threshold: where buckets begin
+    float lowest, darkest, highest;  // half a code value outside and above black
+};
+
+struct Losses {
+    int64_t out_of_gamut, light_without_alpha, not_a_number, beyond_half;
+};
+
+// What the door calls; one set for each instruction set.
+struct Engine {
+    const char *name;
+    // Adds layers to the accumulated strip of `width` x `height`; `nonfinite` counts pixels a layer.
+    void (*add)(const Rules &, const Layer *, const int *numbers, int count, int width, int height,
+                const State &, int64_t *nonfinite);
+    // Reduces all layers of a strip at once, into `State`.
+    void (*reduce)(const Rules &, const Layer *, int count, int width, int height, const State &,
+                   float *scratch, int64_t *nonfinite);
+    // The strip over its background, exposed, as samples.
+    void (*finish)(const Rules &, int64_t pixels, const State &, const Output &, Losses *);
+};
+
+}  // namespace hpcomp

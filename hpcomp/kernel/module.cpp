@@ -1,0 +1,326 @@
+// The door between Python and the loops: every array, size and number is checked here, so that the
+// loops need not. Nothing is computed on pixels.
+
+#include <nanobind/nanobind.h>
+#include <nanobind/ndarray.h>
+#include <nanobind/stl/array.h>
+#include <nanobind/stl/optional.h>
+#include <nanobind/stl/pair.h>
+#include <nanobind/stl/shared_ptr.h>
+#include <nanobind/stl/string.h>
+#include <nanobind/stl/vector.h>
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <memory>
+#include <stdexcept>
+
+#include "block.h"
+
+namespace nb = nanobind;
+using namespace nb::literals;
+
+namespace hpcomp {
+
+extern const Engine engine_baseline;
+#ifdef HPCOMP_HAS_V3
+extern const Engine engine_v3;
+#endif
+#ifdef HPCOMP_HAS_V4
+extern const Engine engine_v4;
+#endif
+
+namespace {
+
+// The engines that this processor can run, the fastest last.
+std::vector<const Engine *> engines() {
+    std::vector<const Engine *> found = {&engine_baseline};
+#ifdef HPCOMP_HAS_V3
+    __builtin_cpu_init();
+    const bool v3 = __builtin_cpu_supports("avx2") && __builtin_cpu_supports("bmi2") &&
+                    __builtin_cpu_supports("fma");
+    if (v3) found.push_back(&engine_v3);
+#ifdef HPCOMP_HAS_V4
+    if (v3 && __builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512bw") &&
+        __builtin_cpu_supports("avx512cd") && __builtin_cpu_supports("avx512dq") &&
+        __builtin_cpu_supports("avx512vl"))
+        found.push_back(&engine_v4);
+#endif
+#endif
+    return found;
+}
+
+const Engine *engine_of(const std::string &level) {
+    const auto found = engines();
+    if (level.empty()) return found.back();
+    for (const Engine *engine : found)
+        if (level == engine->name) return engine;
+    throw nb::value_error("this processor does not run that level");
+}
+
+// Far below where sums of coordinates leave an int.
+constexpr int64_t kFarthest = int64_t(1) << 30;
+
+int checked_coordinate(int64_t value) {
+    if (value < -kFarthest || value > kFarthest) throw nb::value_error("coordinate out of range");
+    return int(value);
+}
+
+using AnyArray = nb::ndarray<nb::ro, nb::device::cpu>;
+using Table = nb::ndarray<const float, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
+using CodeTable = nb::ndarray<const uint16_t, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
+
+Sample sample_of(nb::dlpack::dtype type) {
+    if (type == nb::dtype<uint8_t>()) return Sample::kU8;
+    if (type == nb::dtype<uint16_t>()) return Sample::kU16;
+    if (type == nb::dtype<float>()) return Sample::kFloat;
+    if (type.code == uint8_t(nb::dlpack::dtype_code::Float) && type.bits == 16 && type.lanes == 1)
+        return Sample::kHalf;
+    throw nb::type_error("samples must be uint8, uint16, float16 or float32");
+}
+
+Factor factor_of(int value) {
+    if (value < 0 || value > int(Factor::kRest)) throw nb::value_error("unknown factor");
+    return Factor(value);
+}
+
+// A layer's strip, and what keeps its arrays alive.
+struct StripLayer {
+    Layer layer{};
+    AnyArray samples;
+    Table decode;
+};
+
+StripLayer make_layer(AnyArray samples, std::optional<Table> decode, bool alpha_straight,
+                      std::optional<std::array<float, 9>> matrix, int64_t left, int64_t top,
+                      float opacity, int factor_a, int factor_b, bool zero_nonfinite) {
+    StripLayer made;
+    Layer &layer = made.layer;
+    if (samples.ndim() != 3) throw nb::value_error("samples must be rows x columns x channels");
+    layer.type = sample_of(samples.dtype());
+    const int64_t channels = int64_t(samples.shape(2)), width = int64_t(samples.shape(1));
+    const int64_t height = int64_t(samples.shape(0)), bytes = samples.dtype().bits / 8;
+    if (channels < 1 || channels > 4) throw nb::value_error("samples must have 1 to 4 channels");
+    if (samples.size() != 0 &&
+        ((channels > 1 && samples.stride(2) != 1) || (width > 1 && samples.stride(1) != channels)))
+        throw nb::value_error("the samples of a row must be contiguous");
+    if (reinterpret_cast<uintptr_t>(samples.data()) % uintptr_t(bytes) != 0)
+        throw nb::value_error("the samples must be aligned");
+    const bool codes = layer.type == Sample::kU8 || layer.type == Sample::kU16;
+    if (codes) {
+        const size_t needed = layer.type == Sample::kU8 ? 256 : 65536;
+        if (!decode || decode->shape(0) != needed)
+            throw nb::value_error("integer samples need a table with a value for each code");
+        made.decode = *decode;
+        layer.decode = made.decode.data();
+    }
+    layer.samples = samples.data();
+    layer.row_bytes = height > 1 ? int64_t(samples.stride(0)) * bytes : 0;
+    layer.channels = int(channels);
+    layer.alpha_straight = alpha_straight;
+    layer.has_matrix = matrix.has_value();
+    if (matrix)
+        for (int i = 0; i < 9; ++i) layer.matrix[i] = (*matrix)[i];
+    layer.left = checked_coordinate(left);
+    layer.top = checked_coordinate(top);
+    layer.width = checked_coordinate(width);
+    layer.height = checked_coordinate(height);
+    layer.opacity = opacity;
+    layer.factor_a = factor_of(factor_a);
+    layer.factor_b = factor_of(factor_b);
+    layer.zero_nonfinite = zero_nonfinite;
+    made.samples = std::move(samples);
+    return made;
+}
+
+// Rules with the permutation that they point to.
+struct StackRules {
+    Rules rules{};
+    std::vector<int> permutation;
+};
+
+std::shared_ptr<StackRules> make_rules(bool hue_preserving, float tolerance, int order,
+                                       std::vector<int> permutation, int layers,
+                                       std::optional<std::array<float, 3>> background, float gain,
+                                       std::array<float, 2> weights, std::array<float, 4> to_p,
+                                       std::array<float, 6> from_p) {
+    auto made = std::make_shared<StackRules>();
+    Rules &rules = made->rules;
+    if (layers < 1 || layers > (1 << 20)) throw nb::value_error("a stack needs layers");
+    if (order < 0 || order > int(Order::kSimultaneous)) throw nb::value_error("unknown order");
+    if (Order(order) == Order::kPermutation) {
+        std::vector<bool> seen(size_t(layers), false);
+        if (permutation.size() != size_t(layers)) throw nb::value_error("not a permutation");
+        for (const int number : permutation) {
+            if (number < 0 || number >= layers || seen[size_t(number)])
+                throw nb::value_error("not a permutation");
+            seen[size_t(number)] = true;
+        }
+    }
+    made->permutation = std::move(permutation);
+    rules.hue_preserving = hue_preserving;
+    // Without a tolerance the switch is hard, at what float rounding turns a vector by.
+    rules.tolerance = tolerance > 0 ? tolerance : 1e-4f;
+    rules.inverse_tolerance = tolerance > 0 ? 1 / tolerance : 0;
+    rules.order = Order(order);
+    rules.permutation = made->permutation.data();
+    rules.layers = layers;
+    rules.has_background = background.has_value();
+    if (background) {
+        rules.background_luminance = (*background)[0];
+        rules.background_p[0] = (*background)[1];
+        rules.background_p[1] = (*background)[2];
+    }
+    rules.gain = gain;
+    rules.weight_red = weights[0];
+    rules.weight_blue = weights[1];
+    for (int i = 0; i < 4; ++i) rules.to_p[i / 2][i % 2] = to_p[size_t(i)];
+    for (int i = 0; i < 6; ++i) rules.from_p[i / 2][i % 2] = from_p[size_t(i)];
+    return made;
+}
+
+class Accumulator {
+  public:
+    Accumulator(std::shared_ptr<StackRules> rules, int64_t width, int64_t height,
+                const std::string &level)
+        : rules_(std::move(rules)), engine_(engine_of(level)), width_(checked_coordinate(width)),
+          height_(checked_coordinate(height)) {
+        if (width < 1 || height < 1) throw nb::value_error("a strip needs pixels");
+        pixels_ = width * height;
+        const bool front = rules_->rules.order == Order::kFrontToBack;
+        planes_.assign(size_t(pixels_) * (front ? 5 : 4), 0.0f);
+        float *plane = planes_.data();
+        state_ = {plane, plane + pixels_, plane + 2 * pixels_, plane + 3 * pixels_,
+                  front ? plane + 4 * pixels_ : nullptr};
+        if (front) std::fill(planes_.begin() + 4 * pixels_, planes_.end(), 1.0f);
+    }
+
+    // Takes layers in their turn. Returns how many pixels of each are NaN or infinite; where all
+    // layers are reduced at once, `result` tells.
+    std::vector<int64_t> add(const std::vector<int> &numbers, std::vector<StripLayer *> strips) {
+        if (numbers.size() != strips.size()) throw nb::value_error("a number for each layer");
+        for (const int number : numbers)
+            if (number < 0 || number >= rules_->rules.layers) throw nb::value_error("no such layer");
+        std::vector<int64_t> nonfinite(numbers.size(), 0);
+        if (folds()) {
+            std::vector<Layer> layers;
+            for (const StripLayer *strip : strips) layers.push_back(strip->layer);
+            nb::gil_scoped_release unlocked;
+            engine_->add(rules_->rules, layers.data(), numbers.data(), int(numbers.size()), width_,
+                         height_, state_, nonfinite.data());
+        } else {
+            for (size_t i = 0; i < strips.size(); ++i) {
+                if (numbers[i] != int(held_.size())) throw nb::value_error("layers out of order");
+                held_.push_back(*strips[i]);
+            }
+        }
+        return nonfinite;
+    }
+
+    // Writes the strip to `out`; returns the counts of `Losses`, and of the layers as `add` does.
+    std::pair<std::vector<int64_t>, std::vector<int64_t>>
+    result(nb::ndarray<nb::device::cpu, nb::c_contig> out, std::optional<Table> thresholds,
+           std::optional<CodeTable> first_code, int bucket_bits, std::array<float, 4> limits) {
+        if (out.ndim() != 3 || int64_t(out.shape(0)) != height_ || int64_t(out.shape(1)) != width_ ||
+            out.shape(2) != 4)
+            throw nb::value_error("out must be height x width x 4");
+        Output output{};
+        output.samples = out.data();
+        output.type = sample_of(out.dtype());
+        if (output.type == Sample::kU8 || output.type == Sample::kU16) check_codes(output, thresholds, first_code, bucket_bits, limits);
+        std::vector<int64_t> nonfinite(held_.size(), 0);
+        Losses losses{};
+        if (!folds() && held_.size() != size_t(rules_->rules.layers))
+            throw nb::value_error("not all layers have come");
+        std::vector<Layer> layers;
+        for (const StripLayer &strip : held_) layers.push_back(strip.layer);
+        {
+            nb::gil_scoped_release unlocked;
+            if (!folds()) {
+                const size_t n = layers.size();
+                // p, luminance and factors of each term; pairs, three vectors and an index of each.
+                const bool pairs = rules_->rules.order == Order::kSimultaneous;
+                std::vector<float> scratch(n * 5 * kBlock + (pairs ? (n * n + 5 * n) * 16 + n : 0));
+                engine_->reduce(rules_->rules, layers.data(), int(n), width_, height_, state_,
+                                scratch.data(), nonfinite.data());
+            }
+            engine_->finish(rules_->rules, pixels_, state_, output, &losses);
+        }
+        held_.clear();
+        return {{losses.out_of_gamut, losses.light_without_alpha, losses.not_a_number,
+                 losses.beyond_half},
+                nonfinite};
+    }
+
+  private:
+    bool folds() const {
+        return rules_->rules.order == Order::kBottomUp || rules_->rules.order == Order::kFrontToBack;
+    }
+
+    static void check_codes(Output &output, const std::optional<Table> &thresholds,
+                            const std::optional<CodeTable> &first_code, int bucket_bits,
+                            const std::array<float, 4> &limits) {
+        const size_t codes = output.type == Sample::kU8 ? 256 : 65536;
+        if (!thresholds || thresholds->shape(0) != codes)
+            throw nb::value_error("integer output needs a threshold for each code");
+        // The last one is infinite: no value passes it, and no code beyond it exists.
+        for (size_t i = 0; i < codes; ++i)
+            if (!(thresholds->data()[i] > (i ? thresholds->data()[i - 1] : 0.0f)))
+                throw nb::value_error("thresholds must increase");
+        if (thresholds->data()[codes - 1] != std::numeric_limits<float>::infinity())
+            throw nb::value_error("the last threshold must be infinite");
+        if (bucket_bits < 1 || bucket_bits > 16) throw nb::value_error("bucket_bits out of range");
+        const float smallest = limits[3];
+        int octaves = 0;
+        for (float edge = smallest; edge > 0 && edge < 1 && octaves < 64; edge *= 2) ++octaves;
+        if (!(smallest > 0) || octaves < 1 || octaves >= 64 ||
+            std::ldexp(1.0f, -octaves) != smallest)
+            throw nb::value_error("buckets must begin at a power of two below 1");
+        if (!first_code || first_code->shape(0) != (size_t(octaves) << bucket_bits) + 1)
+            throw nb::value_error("a first code for each bucket is needed");
+        for (size_t i = 0; i < first_code->shape(0); ++i)
+            if (first_code->data()[i] >= codes) throw nb::value_error("a first code out of range");
+        output.thresholds = thresholds->data();
+        output.first_code = first_code->data();
+        output.bucket_bits = bucket_bits;
+        output.lowest = limits[0];
+        output.darkest = limits[1];
+        output.highest = limits[2];
+        output.smallest = smallest;
+    }
+
+    std::shared_ptr<StackRules> rules_;
+    const Engine *engine_;
+    int width_, height_;
+    int64_t pixels_;
+    std::vector<float> planes_;
+    State state_{};
+    std::vector<StripLayer> held_;
+};
+
+}  // namespace
+
+NB_MODULE(_kernel, module) {
+    module.doc() = "The fused engine's loops; hpcomp.kernel is its face.";
+    nb::class_<StripLayer>(module, "Layer");
+    nb::class_<StackRules>(module, "Rules");
+    module.def("levels", [] {
+        std::vector<std::string> names;
+        for (const Engine *engine : engines()) names.push_back(engine->name);
+        return names;
+    });
+    module.def("layer", &make_layer, "samples"_a, "decode"_a.none(), "alpha_straight"_a,
+               "matrix"_a.none(), "left"_a, "top"_a, "opacity"_a, "factor_a"_a, "factor_b"_a,
+               "zero_nonfinite"_a);
+    module.def("rules", &make_rules, "hue_preserving"_a, "tolerance"_a, "order"_a, "permutation"_a,
+               "layers"_a, "background"_a.none(), "gain"_a, "weights"_a, "to_p"_a, "from_p"_a);
+    nb::class_<Accumulator>(module, "Accumulator")
+        .def(nb::init<std::shared_ptr<StackRules>, int64_t, int64_t, const std::string &>(), "rules"_a,
+             "width"_a, "height"_a, "level"_a = "")
+        .def("add", &Accumulator::add, "numbers"_a, "layers"_a)
+        .def("result", &Accumulator::result, "out"_a, "thresholds"_a.none(), "first_code"_a.none(),
+             "bucket_bits"_a, "limits"_a);
+}
+
+}  // namespace hpcomp

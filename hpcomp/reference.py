@@ -1,0 +1,189 @@
+"""The reference engine: the paper in numpy, for reading and checking; runs without a compiler.
+
+Works in blocks of pixels, so that temporaries stay in cache. Planes first: Y (n), p (2, n), α (n).
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .compositing import Reduction, StackRules
+from .encoding import Losses
+from .samples import Samples, Strip, encode, linear_rgba, placed
+
+Array = NDArray[np.floating[Any]]
+
+NAME = "reference"
+#: Whether strips are widened to float RGBA on the way.
+DECODES_IN_NUMPY = True
+
+#: Pixels that are composited at a time, so that a few planes of them stay in the L2 cache.
+BLOCK_PIXELS = 16_384
+
+
+def start(rules: StackRules, width: int, height: int, dtype: Any = np.float32) -> _Accumulator:
+    """An empty accumulator for a strip of that size, of the kind that the rules need."""
+    return _ACCUMULATORS[rules.reduction](rules, width, height, dtype)
+
+
+class _Accumulator(ABC):
+    """Takes the layers of one strip in `rules.arrival` order, and gives their composite."""
+
+    def __init__(self, rules: StackRules, width: int, height: int, dtype: Any) -> None:
+        self.rules, self.width, self.height = rules, width, height
+        self.nonfinite = [0] * len(rules.operators)
+        self._begin(width * height, dtype)
+
+    def add(self, numbers: Sequence[int], strips: Sequence[Strip]) -> None:
+        """Layers by number; `nonfinite` counts their pixels with NaN or Inf."""
+        for number, strip in zip(numbers, strips, strict=True):
+            rgba, self.nonfinite[number] = linear_rgba(strip)
+            self.take(number, placed(strip, rgba, self.width, self.height))
+
+    def result(self, kind: str, losses: Losses) -> Samples:
+        """The composite (height, width, 4) as samples of a kind of `OUTPUT_TYPES`, or float64."""
+        rgba = self.composite().reshape(self.height, self.width, 4)
+        return encode(rgba, kind, losses)
+
+    @abstractmethod
+    def _begin(self, n_pixels: int, dtype: Any) -> None: ...
+
+    @abstractmethod
+    def take(self, number: int, rgba: Array) -> None:
+        """Layer `number`: (n_pixels, 4), linear, premultiplied, alpha in [0, 1]."""
+
+    @abstractmethod
+    def composite(self) -> Array:
+        """The composite: (n_pixels, 4), linear, premultiplied."""
+
+
+class BottomUp(_Accumulator):
+    """Folds layers from the bottom: c ← F_A c_i ⊕ F_B c, the operators taken literally."""
+
+    def _begin(self, n_pixels: int, dtype: Any) -> None:
+        self.luminance, self.alpha = np.zeros((2, n_pixels), dtype)
+        self.p = np.zeros((2, n_pixels), dtype)
+
+    def take(self, number: int, rgba: Array) -> None:
+        operator = self.rules.operators[number]
+        for block in _blocks(len(rgba)):
+            luminance, p, alpha = _term(self.rules, number, rgba[block])
+            if operator is not None:
+                alpha_below = self.alpha[block]
+                f_a, f_b = operator.factors(alpha, alpha_below)
+                luminance = f_a * luminance + f_b * self.luminance[block]  # [R1]
+                p = self.rules.add(f_a * p, f_b * self.p[:, block])  # Eq. 2 with ⊕
+                alpha = operator.alpha(alpha, alpha_below)
+            self.luminance[block], self.p[:, block], self.alpha[block] = luminance, p, alpha
+
+    def composite(self) -> Array:
+        return _result(self.rules, self.luminance, self.p, self.alpha)
+
+
+class FrontToBack(_Accumulator):
+    """Folds layers from the top, all `over`: beside them only the transmittance is kept."""
+
+    def _begin(self, n_pixels: int, dtype: Any) -> None:
+        self.luminance, self.alpha = np.zeros((2, n_pixels), dtype)
+        self.p = np.zeros((2, n_pixels), dtype)
+        self.transmittance = np.ones(n_pixels, dtype)
+
+    def take(self, number: int, rgba: Array) -> None:
+        for block in _blocks(len(rgba)):
+            luminance, p, alpha = _term(self.rules, number, rgba[block])
+            weight = self.transmittance[block]
+            self.luminance[block] += weight * luminance  # [R1]
+            self.p[:, block] = self.rules.add(self.p[:, block], weight * p)
+            self.alpha[block] += weight * alpha
+            self.transmittance[block] *= 1 - alpha
+
+    def composite(self) -> Array:
+        return _result(self.rules, self.luminance, self.p, np.minimum(self.alpha, 1))
+
+
+class AllLayers(_Accumulator):
+    """Keeps every layer until all have come, then reduces the weighted terms in any order."""
+
+    def _begin(self, n_pixels: int, dtype: Any) -> None:
+        self.layers: list[Array] = []
+
+    def take(self, number: int, rgba: Array) -> None:
+        self.layers.append(rgba)
+
+    def composite(self) -> Array:
+        rgba = np.empty_like(self.layers[0])
+        for block in _blocks(len(rgba)):
+            rgba[block] = self._reduced([layer[block] for layer in self.layers])
+        return rgba
+
+    def _reduced(self, layers: list[Array]) -> Array:
+        rules = self.rules
+        terms = [_term(rules, number, rgba) for number, rgba in enumerate(layers)]
+        alpha = terms[0][2]
+        factors: list[tuple[Any, Any]] = [(1.0, 0.0)]
+        for operator, (_, _, alpha_layer) in zip(rules.operators[1:], terms[1:], strict=True):
+            assert operator is not None
+            factors.append(operator.factors(alpha_layer, alpha))
+            alpha = operator.alpha(alpha_layer, alpha)
+        # w_i = F_A,i · Π F_B of the layers above: gathered from the top.
+        above: Any = np.ones_like(alpha)
+        weights = []
+        for f_a, f_b in reversed(factors):
+            weights.append(f_a * above)
+            above = f_b * above
+        weights.reverse()
+        luminance = np.zeros_like(alpha)
+        p = np.empty((len(terms), 2, len(alpha)), alpha.dtype)
+        for number, (weight, (luminance_layer, p_layer, _)) in enumerate(
+            zip(weights, terms, strict=True)
+        ):
+            luminance += weight * luminance_layer  # [R1]
+            p[number] = weight * p_layer
+        return _result(rules, luminance, rules.order.reduce(p, rules.add, rules.add_all), alpha)
+
+
+def _blocks(n_pixels: int) -> Iterator[slice]:
+    for begin in range(0, n_pixels, BLOCK_PIXELS):
+        yield slice(begin, min(begin + BLOCK_PIXELS, n_pixels))
+
+
+def _term(rules: StackRules, number: int, rgba: Array) -> tuple[Array, Array, Array]:
+    """(Y, p, α) of layer `number` scaled by its opacity; rgba (n, 4) → (n), (2, n), (n)."""
+    planes = np.ascontiguousarray(rgba.T)
+    opacity = rules.opacities[number]
+    if opacity != 1:
+        planes = planes * opacity
+    luminance, p = rules.space.forward(planes[:3])
+    return luminance, p, planes[3]
+
+
+def _result(rules: StackRules, luminance: Array, p: Array, alpha: Array) -> Array:
+    """The reduced stack over its background and exposed, as RGBA (n, 4)."""
+    rgba = np.empty((len(alpha), 4), alpha.dtype)
+    for block in _blocks(len(alpha)):
+        y_block, p_block, a_block = luminance[block], p[:, block], alpha[block]
+        if rules.background is not None:
+            colour = np.array(rules.background, alpha.dtype)[:, None]
+            y_below, p_below = rules.space.forward(colour)
+            uncovered = 1 - a_block
+            y_block = y_block + uncovered * y_below
+            p_block = rules.add(p_block, uncovered * p_below)
+            a_block = np.ones_like(a_block)
+        rgb = rules.space.inverse(y_block, p_block)
+        if rules.exposure:
+            rgb *= 2.0**rules.exposure
+        rgba[block, :3] = rgb.T
+        rgba[block, 3] = a_block
+    return rgba
+
+
+_ACCUMULATORS: dict[Reduction, type[_Accumulator]] = {
+    Reduction.BOTTOM_UP: BottomUp,
+    Reduction.FRONT_TO_BACK: FrontToBack,
+    Reduction.ALL_LAYERS: AllLayers,
+}

@@ -1,0 +1,187 @@
+"""Strips of stored samples, and numpy's way between them and linear premultiplied RGBA."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .encoding import (
+    LINEAR,
+    LINEAR_REC709,
+    ColorEncoding,
+    Losses,
+    decode_table,
+    to_half_range,
+    to_rec709,
+    to_straight_srgb,
+)
+from .spaces import REC709_WEIGHTS
+
+Rgba = NDArray[np.float32]
+Samples = NDArray[Any]
+
+#: The types of an output's samples.
+OUTPUT_TYPES: dict[str, type[np.generic]] = {
+    "uint8": np.uint8,
+    "uint16": np.uint16,
+    "half": np.float16,
+    "float": np.float32,
+}
+
+
+@dataclass(frozen=True)
+class Decoding:
+    """What stored samples mean: curve and primaries, and how alpha relates to colour.
+
+    `alpha_mode` is one of `encoding.ALPHA_MODES`; `stored_straight` says whether `luminance` finds
+    straight colours in the file; `zero_nonfinite` makes pixels with NaN or Inf transparent.
+    """
+
+    encoding: ColorEncoding
+    alpha_mode: str
+    stored_straight: bool
+    zero_nonfinite: bool = False
+
+    def is_plain(self, samples: Samples) -> bool:
+        """Whether a table or nothing is between these samples and linear light, times alpha."""
+        return self.alpha_mode in ("straight", "premultiplied") and (
+            samples.dtype.kind == "u" or self.encoding.transfer is LINEAR
+        )
+
+
+#: Linear Rec. 709, premultiplied: what `decode` gives and arrays in the API are.
+PLAIN = Decoding(LINEAR_REC709, "premultiplied", stored_straight=False)
+
+
+@dataclass(frozen=True)
+class Strip:
+    """Rows of a layer where they lie in a strip of the canvas, transparent around them.
+
+    `samples`: (rows, columns, channels), channels being Y, YA, RGB or RGBA; uint8, uint16, float16
+    or float32. `left`, `top`: of its first sample, in pixels of the canvas strip; may be negative.
+    """
+
+    samples: Samples
+    decoding: Decoding = PLAIN
+    left: int = 0
+    top: int = 0
+
+
+def decode(samples: Samples, decoding: Decoding) -> Rgba:
+    """Stored samples (rows, columns, channels) as linear, premultiplied RGBA, alpha in [0, 1].
+
+    NaN and Inf come through, in alpha too: `linear_rgba` counts them.
+    """
+    channels = samples.shape[2]
+    stored_color = samples[..., : 1 if channels <= 2 else 3]
+    rgba = np.empty((*samples.shape[:2], 4), np.float32)
+    rgb, alpha = rgba[..., :3], rgba[..., 3]
+    with np.errstate(invalid="ignore", over="ignore"):
+        if channels % 2:
+            alpha[:] = 1
+        else:
+            stored_alpha = _as_float(samples[..., -1])
+            # Infinities stay as they are until the policy on them has been asked.
+            alpha[:] = np.where(np.isinf(stored_alpha), stored_alpha, np.clip(stored_alpha, 0, 1))
+        if decoding.alpha_mode == "premultiplied-encoded" and channels % 2 == 0:
+            rgb[:] = _linear(_divided(_as_float(stored_color), alpha), decoding.encoding)
+            rgb *= alpha[..., None]
+        else:
+            rgb[:] = _linear(stored_color, decoding.encoding)
+        if decoding.alpha_mode == "straight" and channels % 2 == 0:
+            rgb *= alpha[..., None]
+        elif decoding.alpha_mode == "luminance":
+            _alpha_from_luminance(rgb, alpha, decoding.stored_straight)
+    return rgba
+
+
+def linear_rgba(strip: Strip) -> tuple[Rgba, int]:
+    """`decode` of a strip, and how many of its pixels hold NaN or Inf.
+
+    Those become transparent black where its decoding says so; every finite alpha is in [0, 1].
+    """
+    if strip.samples.dtype == np.float64:  # arrays of the API, never files
+        rgba = strip.samples.copy()
+    else:
+        rgba = decode(strip.samples, strip.decoding)
+    finite = np.isfinite(rgba)
+    count = 0
+    if not finite.all():
+        broken = np.asarray(~finite.all(axis=-1))
+        count = int(broken.sum())
+        if strip.decoding.zero_nonfinite:
+            rgba[broken] = 0
+    np.clip(rgba[..., 3], 0, 1, out=rgba[..., 3])
+    return rgba, count
+
+
+def placed(strip: Strip, rgba: Rgba, width: int, height: int) -> Rgba:
+    """(height · width, 4): decoded pixels of `strip` on its canvas strip, transparent elsewhere."""
+    rows, columns = rgba.shape[:2]
+    if (strip.left, strip.top, columns, rows) == (0, 0, width, height):
+        return rgba.reshape(-1, 4)
+    whole = np.zeros((height, width, 4), rgba.dtype)
+    top, left = max(strip.top, 0), max(strip.left, 0)
+    bottom, right = min(strip.top + rows, height), min(strip.left + columns, width)
+    if top < bottom and left < right:
+        whole[top:bottom, left:right] = rgba[
+            top - strip.top : bottom - strip.top, left - strip.left : right - strip.left
+        ]
+    return whole.reshape(-1, 4)
+
+
+def encode(rgba: Rgba, kind: str, losses: Losses) -> Samples:
+    """RGBA (…, 4) as samples of an output: straight sRGB codes, or linear premultiplied floats.
+
+    `kind` is one of `OUTPUT_TYPES`; anything else leaves the RGBA as it is.
+    """
+    if kind in ("uint8", "uint16"):
+        return to_straight_srgb(rgba, np.uint8 if kind == "uint8" else np.uint16, losses)
+    if kind == "half":
+        return to_half_range(rgba, losses).astype(np.float16)
+    return rgba
+
+
+def _linear(stored: Samples, encoding: ColorEncoding) -> Rgba:
+    """Stored colour (…, 1 or 3) as linear Rec. 709 (…, 3, or 1 to be spread over 3)."""
+    transfer = encoding.transfer
+    if stored.dtype.kind == "u":
+        linear = decode_table(transfer, int(np.iinfo(stored.dtype).max))[stored]
+    elif transfer is LINEAR:
+        linear = stored.astype(np.float32, copy=False)
+    else:
+        linear = transfer.decode(stored.astype(np.float64)).astype(np.float32)
+    matrix = to_rec709(encoding.primaries)
+    if matrix is None or linear.shape[-1] == 1:
+        return linear  # a grey is the same grey in all primaries
+    planes = np.moveaxis(linear, -1, 0)
+    return np.stack(
+        [sum(float(m) * plane for m, plane in zip(row, planes, strict=True)) for row in matrix],
+        axis=-1,
+    )
+
+
+def _alpha_from_luminance(rgb: Rgba, alpha: Rgba, straight: bool) -> None:
+    """Makes the alpha of the straight colours their luminance times the file's alpha."""
+    if not straight:
+        rgb[:] = _divided(rgb, alpha)
+    w_red, w_green, w_blue = REC709_WEIGHTS
+    luminance = w_red * rgb[..., 0] + w_green * rgb[..., 1] + w_blue * rgb[..., 2]
+    alpha *= np.clip(luminance, 0, 1)
+    rgb *= alpha[..., None]
+
+
+def _as_float(stored: Samples) -> Rgba:
+    """Stored values with 1.0 as white: integers by their largest, floats as they are."""
+    if stored.dtype.kind != "u":
+        return stored.astype(np.float32, copy=False)
+    return (stored / np.float32(np.iinfo(stored.dtype).max)).astype(np.float32)
+
+
+def _divided(rgb: Rgba, alpha: Rgba) -> Rgba:
+    """rgb / alpha; where alpha is 0, 0 for what is finite and NaN for what is not."""
+    quotient = rgb * np.float32(0)
+    return np.divide(rgb, alpha[..., None], out=quotient, where=alpha[..., None] > 0)
