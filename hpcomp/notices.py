@@ -43,7 +43,7 @@ def warn_of_layers(rules: StackRules, readers: Sequence[LayerReader], notices: N
 
 def warn_of_problems(reader: LayerReader, notices: Notices) -> None:
     for problem in reader.problems:
-        notices.warn(f"{reader.label}: {problem}; read as {reader.encoding}", InputWarning)
+        notices.warn(f"{reader.label}: {problem}; read as {reader.decoding.encoding}", InputWarning)
 
 
 def warn_of_zeroed(readers: Sequence[LayerReader], notices: Notices) -> None:

@@ -6,7 +6,6 @@ import contextlib
 import logging
 import os
 import re
-import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -14,9 +13,10 @@ from typing import Any
 
 import numpy as np
 
+from . import engine
 from .addition import DEFAULT_HUE_TOLERANCE
 from .canvas import LayerWindows, lay_out, output_window, parse_canvas
-from .compositing import StackRules, stack_rules, start
+from .compositing import Reduction, StackRules, stack_rules
 from .encoding import Losses, parse_hex_color
 from .errors import MismatchError, SettingError, unknown_name
 from .geometry import Window, parse_window
@@ -29,17 +29,18 @@ from .imagefile import (
     LayerImage,
     LayerReader,
     OutputForm,
-    Rgba,
     choose,
     codec_threads,
     describe,
     format_of_output,
+    open_writer,
     seekable,
 )
 from .notices import Notices, warn_of_layers, warn_of_losses, warn_of_problems, warn_of_zeroed
 from .outputfile import whole_output
+from .samples import Strip, encode
 from .stackfile import LayerSpec, layer_spec
-from .workers import Workers, strips_in_flight
+from .workers import Workers, reads_ahead, writes_behind
 
 log = logging.getLogger("hpcomp")
 
@@ -47,12 +48,12 @@ Layer = LayerSpec | str | os.PathLike[str]
 
 DEFAULT_MAX_MEMORY = "1G"
 
-#: Float32 RGBA.
-RGBA_BYTES = 16
+#: Layers that are added in one pass over a strip, where they fold.
+LAYERS_AT_ONCE = 8
+#: A pixel of float32 RGBA, of an accumulator's planes, and of numpy's decoding.
+RGBA_BYTES, PLANES_BYTES, DECODING_BYTES = 16, 20, 48
 #: Files that are open beside the layers: libraries, the output, the standard streams.
 OTHER_OPEN_FILES = 64
-#: Strips beside those of the layers: the accumulator, its result, and the one being written.
-ACCUMULATOR_STRIPS = 4
 
 
 @dataclass(frozen=True)
@@ -128,7 +129,9 @@ def stack(
         window = output_window(
             placed_on, [layer.window for layer in placed], overscan, wanted_region
         )
-        strip_rows = _strip_rows(placed, window, rules, form, n_threads, budget)
+        strip_rows = Budget.of(placed, window.width, rules, form, n_threads).rows(
+            max(reader.part.rows_per_block for reader in readers), window.height, budget
+        )
         log.info(
             "%d layers on canvas %s, %s, order %s",
             len(specs),
@@ -136,9 +139,15 @@ def stack(
             blending,
             rules.order.name,
         )
-        log.info("writing %s in strips of %d rows with %d threads", window, strip_rows, n_threads)
+        log.info(
+            "writing %s in strips of %d rows, %d threads, engine %s",
+            window,
+            strip_rows,
+            n_threads,
+            engine.active().NAME,
+        )
         bottom = readers[0].part
-        writer = ImageWriter(
+        writer = open_writer(
             target,
             form,
             window,
@@ -148,13 +157,13 @@ def stack(
             label=shown,
         )
         try:
-            _run(placed, rules, window, strip_rows, writer, n_threads)
+            losses = _run(placed, rules, window, strip_rows, form, writer, n_threads)
             writer.finish()
         finally:
             writer.abandon()
         warn_of_zeroed(readers, notices)
-        warn_of_losses(shown, writer.losses, notices)
-    return StackResult(output, placed_on, window, writer.losses)
+        warn_of_losses(shown, losses, notices)
+    return StackResult(output, placed_on, window, losses)
 
 
 def read_layer(
@@ -223,16 +232,18 @@ def write_image(
         raise MismatchError(f"data window {window} does not fit pixels of shape {rgba.shape}")
     rgba = np.concatenate([rgba[..., :3], np.clip(rgba[..., 3:], 0, 1)], axis=2)
     notices = Notices(strict)
+    losses = Losses()
     with whole_output(path, clobber=clobber) as target:
-        writer = ImageWriter(target, form, window, display_window or window, label=path)
+        writer = open_writer(target, form, window, display_window or window, label=path)
         try:
-            for begin, end in _strips(window, STRIP_ROWS):
-                writer.write_rows(begin, rgba[begin - window.y : end - window.y])
+            for begin in range(0, window.height, STRIP_ROWS):
+                samples = encode(rgba[begin : begin + STRIP_ROWS], form.kind, losses)
+                writer.write(writer.prepare(begin, samples))
             writer.finish()
         finally:
             writer.abandon()
-        warn_of_losses(path, writer.losses, notices)
-    return writer.losses
+        warn_of_losses(path, losses, notices)
+    return losses
 
 
 def info(path: str | os.PathLike[str]) -> ImageFile:
@@ -319,19 +330,14 @@ class PlacedLayer:
         """Its pixels, in canvas coordinates."""
         return self.reader.window.moved(self.dx, self.dy)
 
-    def read(self, rows: Window) -> Rgba:
-        """(pixels of `rows`, 4): the layer where it has pixels, transparent elsewhere."""
-        strip = np.zeros((rows.height, rows.width, 4), np.float32)
+    def read(self, rows: Window) -> Strip | None:
+        """What the layer has of `rows` of the canvas, None where it has nothing there."""
         common = self.window.intersection(rows)
-        if common is not None:
-            begin = common.y - self.dy
-            left = common.x - self.window.x
-            pixels = self.reader.read_rows(begin, begin + common.height)
-            top, column = common.y - rows.y, common.x - rows.x
-            strip[top : top + common.height, column : column + common.width] = pixels[
-                :, left : left + common.width
-            ]
-        return strip.reshape(-1, 4)
+        if common is None:
+            return None
+        begin = common.y - self.dy
+        samples = self.reader.read_samples(begin, begin + common.height)
+        return Strip(samples, self.reader.decoding, self.window.x - rows.x, common.y - rows.y)
 
 
 def _allow_open_files(layers: int) -> None:
@@ -390,45 +396,57 @@ def _strips(window: Window, rows: int) -> Iterator[tuple[int, int]]:
         yield begin, min(begin + rows, window.bottom)
 
 
-def _strip_rows(
-    layers: Sequence[PlacedLayer],
-    window: Window,
-    rules: StackRules,
-    form: OutputForm,
-    threads: int,
-    max_memory: int,
-) -> int:
-    """How many rows at a time fit `max_memory`: whole compression blocks, and not needlessly many.
+@dataclass(frozen=True)
+class Budget:
+    """What a stack takes of memory, in bytes: for each row of a strip, and whatever the strips."""
 
-    Errors: `MismatchError` that names the least memory this stack can be made in.
-    """
-    ahead = strips_in_flight(threads)
-    widest = max(layer.reader.bytes_per_row for layer in layers)
-    held = len(layers) if rules.holds_all_layers else 0
-    per_row = (
-        ahead * (widest + RGBA_BYTES * window.width)
-        + (held + ACCUMULATOR_STRIPS) * RGBA_BYTES * window.width
-    )
-    fixed = (
-        sum(layer.reader.bytes_held for layer in layers)
-        + threads * max(layer.reader.bytes_to_decode for layer in layers)
-        + form.bytes_to_encode(window.width)
-    )
-    if fixed + per_row > max_memory:
-        least = -(-(fixed + per_row) // 2**20)
-        raise MismatchError(
-            f"this stack needs at least {least}M, {len(layers)} layers of it being read "
-            f"{max(layer.reader.part.rows_per_block for layer in layers)} rows at a time: "
-            f"raise --max-memory {max_memory / 2**20:.3g}M"
+    per_row: int
+    fixed: int
+
+    @staticmethod
+    def of(
+        layers: Sequence[PlacedLayer],
+        width: int,
+        rules: StackRules,
+        form: OutputForm,
+        threads: int,
+    ) -> Budget:
+        """An estimate from above; the tests hold it against real peaks."""
+        readers = [layer.reader for layer in layers]
+        if rules.reduction is Reduction.ALL_LAYERS:
+            held = sum(reader.bytes_per_row for reader in readers)
+        else:
+            widest = sorted((reader.bytes_per_row for reader in readers), reverse=True)
+            held = sum(widest[:LAYERS_AT_ONCE])
+        decoded = 0
+        if engine.active().DECODES_IN_NUMPY:
+            decoded = (len(readers) if rules.reduction is Reduction.ALL_LAYERS else 2) * RGBA_BYTES
+            decoded += DECODING_BYTES + RGBA_BYTES
+        widest_row = max(reader.bytes_per_row for reader in readers)
+        return Budget(
+            per_row=held
+            + reads_ahead(threads) * widest_row
+            + width * (decoded + writes_behind(threads) * (PLANES_BYTES + form.bytes_per_pixel)),
+            fixed=sum(reader.bytes_held for reader in readers)
+            + threads * max(reader.bytes_to_decode for reader in readers)
+            + form.bytes_to_encode(width),
         )
-    rows = (max_memory - fixed) // per_row
-    block = max(layer.reader.part.rows_per_block for layer in layers)
-    if block > window.height:
-        block = 1
-    wanted = -(-STRIP_ROWS // block) * block
-    if rows >= block:
-        rows -= rows % block
-    return int(min(rows, wanted))
+
+    def rows(self, block: int, height: int, max_memory: int) -> int:
+        """How many rows at a time fit: whole compression blocks, and not needlessly many.
+
+        Errors: `MismatchError` that names the least memory this stack can be made in.
+        """
+        if self.fixed + self.per_row > max_memory:
+            least = -(-(self.fixed + self.per_row) // 2**20)
+            raise MismatchError(
+                f"this stack needs at least {least}M, its files being stored {block} rows at a "
+                f"time: raise --max-memory {max_memory / 2**20:.3g}M"
+            )
+        block = min(block, height)
+        rows = (max_memory - self.fixed) // self.per_row
+        wanted = -(-STRIP_ROWS // block) * block
+        return min(wanted, rows - rows % block if rows > block else rows)
 
 
 def _run(
@@ -436,42 +454,68 @@ def _run(
     rules: StackRules,
     window: Window,
     strip_rows: int,
+    form: OutputForm,
     writer: ImageWriter,
     threads: int,
-) -> None:
-    """Reads ahead in `threads` threads, composites here, and writes one strip behind."""
+) -> Losses:
+    """Makes the picture: layers are read ahead, and results written behind.
+
+    Returns what the file could not hold.
+    """
     strips = [
         Window(window.x, begin, window.width, end - begin)
         for begin, end in _strips(window, strip_rows)
     ]
-    reads = [
+    at_once = LAYERS_AT_ONCE
+    if rules.reduction is Reduction.ALL_LAYERS:
+        at_once = len(layers)
+    groups = list(_grouped(rules.arrival, at_once))
+    reads = (
         (number, partial(layers[number].read, rows)) for rows in strips for number in rules.arrival
-    ]
-    seconds = {"reading": 0.0, "compositing": 0.0, "writing": 0.0}
-    with Workers[Rgba](threads) as workers:
+    )
+    lost: list[Losses] = []
+    with Workers[Strip | None](threads) as workers:
         arriving = workers.read_ahead(reads)
         for rows in strips:
-            accumulator = start(rules, rows.width * rows.height)
-            for number in rules.arrival:
-                with _timed(seconds, "reading"):
-                    rgba = next(arriving)
-                with _timed(seconds, "compositing"):
-                    accumulator.add(number, rgba)
-                del rgba
-            with _timed(seconds, "compositing"):
-                result = accumulator.result().reshape(rows.height, rows.width, 4)
+            accumulator = engine.start(rules, rows.width, rows.height)
+            for group in groups:
+                arrived = [next(arriving) or _NOTHING for _ in group]
+                workers.composite(partial(accumulator.add, group, arrived))
+                del arrived
+            losses = Losses()
+            lost.append(losses)
+            workers.write_behind(
+                partial(_finished, accumulator, layers, rows, window, form, losses, writer),
+                writer.write,
+            )
             del accumulator
-            with _timed(seconds, "writing"):
-                workers.write_behind(partial(writer.write_rows, rows.y, result))
-            del result
-        with _timed(seconds, "writing"):
-            workers.flush()
-    for what, spent in seconds.items():
-        log.info("%s: %.3f s", what + (" (waiting)" if threads > 1 else ""), spent)
+        workers.flush()
+    for what, seconds in workers.seconds.items():
+        log.info("%s: %.3f s of all threads together", what, seconds)
+    return Losses.sum(lost)
 
 
-@contextlib.contextmanager
-def _timed(seconds: dict[str, float], what: str) -> Iterator[None]:
-    begin = time.perf_counter()
-    yield
-    seconds[what] += time.perf_counter() - begin
+#: A layer without pixels in a strip: transparent all over.
+_NOTHING = Strip(np.zeros((0, 0, 4), np.float32))
+
+
+def _grouped(numbers: Sequence[int], size: int) -> Iterator[Sequence[int]]:
+    for begin in range(0, len(numbers), size):
+        yield numbers[begin : begin + size]
+
+
+def _finished(
+    accumulator: engine.Accumulator,
+    layers: Sequence[PlacedLayer],
+    rows: Window,
+    window: Window,
+    form: OutputForm,
+    losses: Losses,
+    writer: ImageWriter,
+) -> Any:
+    """The strip `rows` as the writer wants it."""
+    samples = accumulator.result(form.kind, losses)
+    for layer, count in zip(layers, accumulator.nonfinite, strict=True):
+        if count:
+            layer.reader.note_nonfinite(max(rows.y - layer.dy, layer.reader.window.y), count)
+    return writer.prepare(rows.y - window.y, samples)

@@ -2,78 +2,124 @@
 
 from __future__ import annotations
 
+import contextlib
+import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from threading import Event
-from typing import Generic, TypeVar
+from threading import Event, Lock
+from typing import Any, Generic, TypeVar
 
 T = TypeVar("T")
 
 
-def strips_in_flight(threads: int) -> int:
-    """How many strips can be in memory between being read and being taken."""
-    return threads + 2 if threads > 1 else 1
+def reads_ahead(threads: int) -> int:
+    """How many reads can be in memory before they are taken: all threads stay busy."""
+    return 2 * threads if threads > 1 else 1
+
+
+def writes_behind(threads: int) -> int:
+    """How many writes can be in memory before they are done."""
+    return 2 if threads > 1 else 1
 
 
 class Workers(Generic[T]):
-    """Threads for the reads and one for the writes; with one thread all is done in the caller's."""
+    """`threads` threads that do all the work; with one, it is done in the caller's."""
 
     def __init__(self, threads: int) -> None:
         self.threads = threads
-        self._readers = ThreadPoolExecutor(threads, "read") if threads > 1 else None
-        self._writer = ThreadPoolExecutor(1, "write") if threads > 1 else None
-        self._writing: Future[None] | None = None
+        #: Of all threads together, by what they did.
+        self.seconds = {"reading": 0.0, "compositing": 0.0, "writing": 0.0}
+        self._pool = ThreadPoolExecutor(threads, "hpcomp") if threads > 1 else None
+        self._writes: deque[Future[None]] = deque()
+        self._last_write: Event | None = None
+        self._lock = Lock()
 
     def __enter__(self) -> Workers[T]:
         return self
 
     def __exit__(self, *failure: object) -> None:
-        for pool in (self._readers, self._writer):
-            if pool is not None:
-                pool.shutdown(cancel_futures=True)
+        if self._pool is not None:
+            self._pool.shutdown(cancel_futures=True)
 
     def read_ahead(self, reads: Iterable[tuple[int, Callable[[], T]]]) -> Iterator[T]:
         """The results of `(source, read)` in their order, some read ahead.
 
         Reads of one source run one after another in their order: codecs are not shared.
         """
-        if self._readers is None:
-            for _, read in reads:
-                yield read()
-            return
         waiting: deque[Future[T]] = deque()
         # Not the future itself, which would keep every source's last strip in memory.
         last_read: dict[int, Event] = {}
         for source, read in reads:
+            if self._pool is None:
+                yield self._read(None, read, Event())
+                continue
             done = Event()
-            waiting.append(self._readers.submit(_after, last_read.get(source), read, done))
+            waiting.append(self._pool.submit(self._read, last_read.get(source), read, done))
             last_read[source] = done
-            if len(waiting) > self.threads:
+            if len(waiting) > reads_ahead(self.threads):
                 yield waiting.popleft().result()
         while waiting:
             yield waiting.popleft().result()
 
-    def write_behind(self, write: Callable[[], None]) -> None:
-        """Runs `write` once the write before it is done, whose error is raised here."""
-        self.flush()
-        if self._writer is None:
-            write()
+    def composite(self, work: Callable[[], None]) -> None:
+        """Does `work` in one of the threads, and waits for it."""
+        if self._pool is None:
+            self._composite(work)
         else:
-            self._writing = self._writer.submit(write)
+            self._pool.submit(self._composite, work).result()
+
+    def write_behind(self, prepare: Callable[[], Any], write: Callable[[Any], None]) -> None:
+        """Writes what `prepare` gives, after the write before it; raises an earlier one's error."""
+        previous, done = self._last_write, Event()
+        self._last_write = done
+        if self._pool is None:
+            self._write(previous, prepare, write, done)
+            return
+        while len(self._writes) >= writes_behind(self.threads):
+            self._writes.popleft().result()
+        self._writes.append(self._pool.submit(self._write, previous, prepare, write, done))
 
     def flush(self) -> None:
-        """Waits for the last write; its error is raised here."""
-        if self._writing is not None:
-            writing, self._writing = self._writing, None
-            writing.result()
+        """Waits for all writes; an error of theirs is raised here."""
+        while self._writes:
+            self._writes.popleft().result()
 
+    # A task waits only for one that was queued, and so begun, before it: none waits for ever.
 
-def _after(previous: Event | None, read: Callable[[], T], done: Event) -> T:
-    """Runs `read` after its source's previous one, which was queued, and so begun, before."""
-    try:
-        if previous is not None:
-            previous.wait()
-        return read()
-    finally:
-        done.set()
+    def _read(self, previous: Event | None, read: Callable[[], T], done: Event) -> T:
+        try:
+            if previous is not None:
+                previous.wait()
+            with self._timed("reading"):
+                return read()
+        finally:
+            done.set()
+
+    def _composite(self, work: Callable[[], None]) -> None:
+        with self._timed("compositing"):
+            work()
+
+    def _write(
+        self,
+        previous: Event | None,
+        prepare: Callable[[], Any],
+        write: Callable[[Any], None],
+        done: Event,
+    ) -> None:
+        try:
+            with self._timed("writing"):
+                prepared = prepare()
+            if previous is not None:
+                previous.wait()
+            with self._timed("writing"):
+                write(prepared)
+        finally:
+            done.set()
+
+    @contextlib.contextmanager
+    def _timed(self, what: str) -> Iterator[None]:
+        begin = time.perf_counter()
+        yield
+        with self._lock:
+            self.seconds[what] += time.perf_counter() - begin

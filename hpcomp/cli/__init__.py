@@ -8,7 +8,7 @@ import sys
 import click
 
 from .. import __version__
-from ..errors import EXIT_CODE_MEANINGS, ExitCode, HpcompError
+from ..errors import EXIT_CODE_MEANINGS, ExitCode, HpcompError, SettingError
 from . import signals
 from .messages import keep_libraries_off_stderr, open_standard_streams, say
 
@@ -41,13 +41,29 @@ class LazyGroup(click.Group):
             formatter.write_dl([(str(int(k)), v) for k, v in EXIT_CODE_MEANINGS.items()])
 
 
+def _print_version(ctx: click.Context, param: click.Parameter, value: bool) -> None:
+    if value and not ctx.resilient_parsing:
+        engine = signals.load("hpcomp.engine")
+        try:
+            name = engine.active().NAME
+        except SettingError as error:
+            raise click.UsageError(str(error), ctx) from error
+        click.echo(f"hpcomp {__version__} (engine: {name})")
+        ctx.exit()
+
+
 @click.group(
     cls=LazyGroup,
     no_args_is_help=False,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
 )
-@click.version_option(
-    __version__, prog_name="hpcomp", message="%(prog)s %(version)s (engine: reference)"
+@click.option(
+    "--version",
+    is_flag=True,
+    is_eager=True,
+    expose_value=False,
+    callback=_print_version,
+    help="Show the version and the active engine, and exit.",
 )
 def cli() -> None:
     """Composite translucent label layers so that every hue that appears is one that went in.

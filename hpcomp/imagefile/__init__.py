@@ -1,13 +1,13 @@
 """Image files in and out, strip by strip. The only importer of OpenImageIO.
 
-Reading gives linear Rec. 709, premultiplied float32 RGBA whatever the file holds; writing takes it.
+Reading gives samples as stored and what they mean; writing takes samples of the output's type.
 Where a layer lies on the canvas, and what is done with it, is not known here.
 """
 
 from .description import STDIN, ColorGroup, ImageFile, Part, choose, describe, seekable
 from .library import codec_threads
-from .reading import NONFINITE_POLICIES, STRIP_ROWS, LayerImage, LayerReader, Rgba
-from .writing import ImageWriter, OutputForm, format_of_output
+from .reading import NONFINITE_POLICIES, STRIP_ROWS, LayerImage, LayerReader
+from .writing import ImageWriter, OutputForm, format_of_output, open_writer
 
 __all__ = [
     "NONFINITE_POLICIES",
@@ -20,10 +20,10 @@ __all__ = [
     "LayerReader",
     "OutputForm",
     "Part",
-    "Rgba",
     "choose",
     "codec_threads",
     "describe",
     "format_of_output",
+    "open_writer",
     "seekable",
 ]

@@ -5,19 +5,17 @@ from __future__ import annotations
 import contextlib
 import os
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
-import numpy as np
 import OpenImageIO as oiio
-from numpy.typing import NDArray
 
-from .. import pngheader
-from ..encoding import REC709, Losses, to_half_range, to_straight_srgb
-from ..errors import InputError, OutputError, SettingError, unknown_name
+from ..encoding import REC709
+from ..errors import OutputError, SettingError, unknown_name
 from ..geometry import Window
+from ..samples import Samples
+from . import pngwriter
 from .description import METRES_PER_INCH, STDIN
 from .library import error_text
-from .reading import Rgba
 
 EXR_COMPRESSIONS = (
     "zip", "none", "rle", "zips", "piz", "pxr24", "b44", "b44a", "dwaa", "dwab",
@@ -27,15 +25,12 @@ _ROWS_PER_BLOCK = {
     "zip": 16, "piz": 32, "pxr24": 16, "b44": 32, "b44a": 32, "dwaa": 32, "dwab": 256,
     "htj2k256": 256, "htj2k32": 32,
 }  # fmt: skip
-PNG_COMPRESSIONS = ("fast", "small", *"0123456789")
 DEPTHS = {"png": ("8", "16"), "exr": ("half", "float")}
-COMPRESSIONS = {"png": PNG_COMPRESSIONS, "exr": EXR_COMPRESSIONS}
+COMPRESSIONS = {"png": tuple(pngwriter.COMPRESSIONS), "exr": EXR_COMPRESSIONS}
 FORMATS = tuple(DEPTHS)
 
 #: The state and buffers of a codec.
 _CODEC_BYTES = 1 << 17
-_PNG_LEVELS = {"fast": 3, "small": 9}
-_PNG_TYPES: dict[str, type[np.unsignedinteger[Any]]] = {"8": np.uint8, "16": np.uint16}
 
 
 def format_of_output(path: str, format: str | None = None) -> str:
@@ -63,6 +58,17 @@ class OutputForm:
     depth: str
     compression: str
 
+    @property
+    def kind(self) -> str:
+        """The type of its samples, one of `samples.OUTPUT_TYPES`."""
+        return {"8": "uint8", "16": "uint16"}.get(self.depth, self.depth)
+
+    @property
+    def bytes_per_pixel(self) -> int:
+        """Memory of a pixel of a strip on its way to the file: its samples, filtered and packed."""
+        sample = {"8": 1, "16": 2, "half": 2, "float": 4}[self.depth]
+        return 4 * sample * (3 if self.format == "png" else 1)
+
     def bytes_to_encode(self, width: int) -> int:
         """Memory of the codec while it encodes rows of that width."""
         rows = _ROWS_PER_BLOCK.get(self.compression, 1)
@@ -86,92 +92,88 @@ class OutputForm:
         )
 
 
-class ImageWriter:
-    """Writes one picture in strips of rows, top to bottom.
+class ImageWriter(Protocol):
+    """Writes one picture in strips of rows; `finish` closes it, `abandon` after a failure."""
 
-    `path` gets the file; `label` names it in errors. What the format cannot hold is counted in
-    `losses`. Close it with `finish`, or `abandon` after a failure.
-    """
+    def prepare(self, begin: int, samples: Samples) -> Any:
+        """Does for rows from `begin` on, counted from 0, what any thread may do in any order."""
 
-    def __init__(
-        self,
-        path: str,
-        form: OutputForm,
-        data_window: Window,
-        display_window: Window,
-        *,
-        pixel_aspect: float = 1.0,
-        pixels_per_metre: tuple[float, float] | None = None,
-        label: str | None = None,
-    ) -> None:
-        self.path, self.form, self.window, self.label = path, form, data_window, label or path
-        self.losses = Losses()
-        png = form.format == "png"
-        kind = {"8": "uint8", "16": "uint16", "half": "half", "float": "float"}[form.depth]
-        spec = oiio.ImageSpec(data_window.width, data_window.height, 4, oiio.TypeDesc(kind))
-        if not png:
-            spec.x, spec.y = data_window.x, data_window.y
-            spec.full_x, spec.full_y = display_window.x, display_window.y
-            spec.full_width, spec.full_height = display_window.width, display_window.height
-        for name, value in self._attributes(png, pixel_aspect, pixels_per_metre).items():
-            spec.attribute(name, *value) if isinstance(value, tuple) else spec.attribute(
-                name, value
-            )
-        output = oiio.ImageOutput.create("png" if png else "openexr")
-        assert output is not None  # both formats are part of OpenImageIO itself
+    def write(self, prepared: Any) -> None:
+        """Writes what `prepare` gave, in the order of the rows. Errors: `OutputError`."""
+
+    def finish(self) -> None:
+        """Completes the file; `OutputError` where it cannot be."""
+
+    def abandon(self) -> None:
+        """Closes the file, whatever state it is in."""
+
+
+def open_writer(
+    path: str,
+    form: OutputForm,
+    data_window: Window,
+    display_window: Window,
+    *,
+    pixel_aspect: float = 1.0,
+    pixels_per_metre: tuple[float, float] | None = None,
+    label: str | None = None,
+) -> ImageWriter:
+    """A writer of samples of `form.kind` (rows, width, 4) to `path`; `label` names it in errors."""
+    if form.format == "png":
+        return pngwriter.PngWriter(
+            path,
+            data_window.width,
+            data_window.height,
+            int(form.depth),
+            form.compression,
+            pixel_aspect=pixel_aspect,
+            pixels_per_metre=pixels_per_metre,
+            label=label or path,
+        )
+    spec = oiio.ImageSpec(data_window.width, data_window.height, 4, oiio.TypeDesc(form.depth))
+    spec.x, spec.y = data_window.x, data_window.y
+    spec.full_x, spec.full_y = display_window.x, display_window.y
+    spec.full_width, spec.full_height = display_window.width, display_window.height
+    spec.attribute("compression", form.compression)
+    spec.attribute("chromaticities", oiio.TypeDesc("float[8]"), tuple(REC709.xy.ravel()))
+    spec.attribute("colorInteropID", "lin_rec709_scene")
+    spec.attribute("PixelAspectRatio", float(pixel_aspect))
+    if pixels_per_metre is not None:
+        spec.attribute("ResolutionUnit", "in")
+        spec.attribute("XResolution", pixels_per_metre[0] * METRES_PER_INCH)
+        spec.attribute("YResolution", pixels_per_metre[1] * METRES_PER_INCH)
+    # An empty date keeps the clock out of the file.
+    spec.attribute("DateTime", "")
+    return ExrWriter(path, spec, label or path)
+
+
+class ExrWriter:
+    """Writes one EXR part; see `ImageWriter`."""
+
+    def __init__(self, path: str, spec: oiio.ImageSpec, label: str) -> None:
+        self._path, self._spec, self._label = path, spec, label
+        output = oiio.ImageOutput.create("openexr")
+        assert output is not None  # the format is part of OpenImageIO itself
         self._output = output
         if not self._output.open(path, spec):
             raise self._error()
 
-    def _attributes(
-        self, png: bool, pixel_aspect: float, density: tuple[float, float] | None
-    ) -> dict[str, Any]:
-        found: dict[str, Any] = {"PixelAspectRatio": float(pixel_aspect)}
-        if density is not None:
-            found["ResolutionUnit"] = "in"
-            found["XResolution"] = density[0] * METRES_PER_INCH
-            found["YResolution"] = density[1] * METRES_PER_INCH
-        compression = self.form.compression
-        if png:
-            level = _PNG_LEVELS.get(compression)
-            found["png:compressionLevel"] = int(compression) if level is None else level
-            found["oiio:UnassociatedAlpha"] = 1
-            found["oiio:ColorSpace"] = "sRGB"
-        else:
-            found["compression"] = compression
-            found["chromaticities"] = (oiio.TypeDesc("float[8]"), tuple(REC709.xy.ravel()))
-            found["colorInteropID"] = "lin_rec709_scene"
-            # An empty date keeps the clock out of the file.
-            found["DateTime"] = ""
-        return found
+    def prepare(self, begin: int, samples: Samples) -> tuple[int, Samples]:
+        return self._spec.y + begin, samples
 
-    def write_rows(self, begin: int, rgba: Rgba) -> None:
-        """Rows from `begin` on, in canvas coordinates: (rows, width, 4), linear, premultiplied."""
-        pixels: NDArray[Any] = rgba
-        if self.form.format == "png":
-            pixels = to_straight_srgb(rgba, _PNG_TYPES[self.form.depth], self.losses)
-            begin -= self.window.y
-        elif self.form.depth == "half":
-            pixels = to_half_range(rgba, self.losses)
-        if not self._output.write_scanlines(begin, begin + len(rgba), 0, pixels):
+    def write(self, prepared: tuple[int, Samples]) -> None:
+        row, samples = prepared
+        if not self._output.write_scanlines(row, row + len(samples), 0, samples):
             raise self._error()
 
     def finish(self) -> None:
-        """Completes the file; `OutputError` where it cannot be."""
         if not self._output.close():
             raise self._error()
-        if self.form.format == "png":
-            # OpenImageIO's PNG writer does not notice a full disk.
-            try:
-                pngheader.read_header(self.path)
-            except (InputError, OSError):
-                raise self._error() from None
 
     def abandon(self) -> None:
-        """Closes the file, whatever state it is in."""
         with contextlib.suppress(Exception):
             self._output.close()
 
     def _error(self) -> OutputError:
-        reason = error_text(self._output, "it is incomplete").replace(self.path, self.label)
-        return OutputError(f"{self.label}: cannot be written, is the disk full? {reason}")
+        reason = error_text(self._output, "it is incomplete").replace(self._path, self._label)
+        return OutputError(f"{self._label}: cannot be written, is the disk full? {reason}")
