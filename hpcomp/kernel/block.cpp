@@ -328,14 +328,65 @@ void add_layers(const Rules &rules, const Layer *layers, const int *numbers, int
 
 // --- reductions of all layers --------------------------------------------------------------------
 
-constexpr int kLanes = 16;
+// Above what rounding changes in the products of two vectors of lengths up to 3.
+constexpr float kCloseMargin = 1e-4f;
+
+// Rows of lanes: small loops whose arrays do not overlap.
+using Row = float *__restrict__;
+using ConstRow = const float *__restrict__;
+
+// Whether two hues are close in any lane: within the shoulder's end, or nearly.
+HPCOMP_INLINE bool any_close(const Rules &rules, ConstRow xi, ConstRow yi, ConstRow xj, ConstRow yj) {
+    int close = 0;
+    for (int l = 0; l < kLanes; ++l) {
+        const float cosine = xi[l] * xj[l] + yi[l] * yj[l];
+        const float sine = magnitude(xi[l] * yj[l] - yi[l] * xj[l]);
+        close |= sine * rules.end_cosine <= cosine * rules.end_sine + kCloseMargin;
+    }
+    return close != 0;
+}
+
+HPCOMP_INLINE void shoulders(const Rules &rules, ConstRow xi, ConstRow yi, ConstRow xj, ConstRow yj,
+                             Row ij, Row ji) {
+    for (int l = 0; l < kLanes; ++l) {
+        const float e = shoulder(rules, xi[l], yi[l], xj[l], yj[l]);
+        ij[l] = e;
+        ji[l] = e;
+    }
+}
+
+HPCOMP_INLINE void add_least(ConstRow m_j, ConstRow m_k, Row sum) {
+    for (int l = 0; l < kLanes; ++l) sum[l] += smaller(m_j[l], m_k[l]);
+}
+
+// Some lanes as one value, which stays in a register from one term to the next where a row would go
+// through memory; as many as a register of this instruction set holds.
+#if defined(__AVX512F__)
+constexpr int kRegister = 16;
+#elif defined(__AVX__)
+constexpr int kRegister = 8;
+#else
+constexpr int kRegister = 4;
+#endif
+typedef float Lanes __attribute__((vector_size(kRegister * sizeof(float))));
+
+HPCOMP_INLINE Lanes lanes_of(const float *row) {
+    Lanes lanes;
+    std::memcpy(&lanes, row, sizeof lanes);
+    return lanes;
+}
+
+HPCOMP_INLINE Lanes smaller(Lanes a, Lanes b) { return a < b ? a : b; }
+
+// Floats and ints of scratch that `rivals_scaled_sum` takes for so many terms.
+HPCOMP_INLINE int64_t pair_floats(int64_t n) { return (2 * n * n + 4 * n) * kLanes; }
 
 // The simultaneous rule for one run of lanes: terms p (count, 2, kBlock) from column `begin`.
 HPCOMP_INLINE void rivals_scaled_sum(const Rules &rules, const float *p, int count, int begin,
                                      float *pairs, int *there, float *sum0, float *sum1) {
     int n = 0;
     for (int k = 0; k < count; ++k) {
-        const float *x = p + int64_t(k) * 2 * kBlock + begin, *y = x + kBlock;
+        ConstRow x = p + int64_t(k) * 2 * kBlock + begin, y = x + kBlock;
         int any = 0;
         for (int l = 0; l < kLanes; ++l) any |= (x[l] != 0) | (y[l] != 0);
         there[n] = k;
@@ -344,71 +395,90 @@ HPCOMP_INLINE void rivals_scaled_sum(const Rules &rules, const float *p, int cou
     for (int l = 0; l < kLanes; ++l) sum0[l] = sum1[l] = 0;
     if (n == 0) return;
 
+    const auto pair = [n](float *table, int i, int k) { return table + (int64_t(i) * n + k) * kLanes; };
+    const auto term = [p, there, begin](int k) { return p + int64_t(there[k]) * 2 * kBlock + begin; };
+    float *e = pairs, *support = e + int64_t(n) * n * kLanes;
+    float *m = support + int64_t(n) * n * kLanes, *hold = m + n * kLanes;
+    float *unit_x = hold + n * kLanes, *unit_y = unit_x + n * kLanes;
+
     // Scaled by one power of two a pixel, as in `add`.
     float largest[kLanes] = {};
     for (int k = 0; k < n; ++k) {
-        const float *x = p + int64_t(there[k]) * 2 * kBlock + begin, *y = x + kBlock;
+        ConstRow x = term(k), y = x + kBlock;
         for (int l = 0; l < kLanes; ++l)
             largest[l] = larger(largest[l], larger(magnitude(x[l]), magnitude(y[l])));
     }
-    float *e = pairs, *m = e + int64_t(n) * n * kLanes, *near = m + n * kLanes;
-    float *unit_x = near + n * kLanes, *unit_y = unit_x + n * kLanes;
     for (int k = 0; k < n; ++k) {
-        const float *x = p + int64_t(there[k]) * 2 * kBlock + begin, *y = x + kBlock;
+        ConstRow x = term(k), y = x + kBlock;
+        Row ux = unit_x + k * kLanes, uy = unit_y + k * kLanes, mk = m + k * kLanes;
         for (int l = 0; l < kLanes; ++l) {
             const float down = scale_of(largest[l], 0, 0, 0).down;
             const float sx = x[l] * down, sy = y[l] * down;
-            const float own = scale_of(sx, sy, 0, 0).down;  // a weak term has a hue all the same
-            const float ux = sx * own, uy = sy * own;
-            m[k * kLanes + l] = __builtin_sqrtf(ux * ux + uy * uy) / own;
-            unit_x[k * kLanes + l] = ux;
-            unit_y[k * kLanes + l] = uy;
-            near[k * kLanes + l] = 0;
+            const Scale own = scale_of(sx, sy, 0, 0);  // a weak term has a hue all the same
+            ux[l] = sx * own.down;
+            uy[l] = sy * own.down;
+            mk[l] = __builtin_sqrtf(ux[l] * ux[l] + uy[l] * uy[l]) * own.up;
         }
     }
+    // Most hues differ, and then their shoulder is 0 without its angle: `neighbors` lists the
+    // others of each term, itself first, in which alone its support has anything.
+    int *neighbors = there + count, *degree = neighbors + int64_t(n) * n;
     for (int i = 0; i < n; ++i) {
-        for (int l = 0; l < kLanes; ++l) e[(int64_t(i) * n + i) * kLanes + l] = 1;
+        Row ii = pair(e, i, i), held = hold + i * kLanes;
+        for (int l = 0; l < kLanes; ++l) ii[l] = 1;
+        for (int l = 0; l < kLanes; ++l) held[l] = 0;
+        // The most that i's own hue can hold; it vanishes with m_i.
+        for (int k = 0; k < n; ++k) add_least(m + i * kLanes, m + k * kLanes, held);
+        neighbors[int64_t(i) * n] = i;
+        degree[i] = 1;
         for (int j = 0; j < i; ++j) {
-            float *ij = e + (int64_t(i) * n + j) * kLanes, *ji = e + (int64_t(j) * n + i) * kLanes;
-            for (int l = 0; l < kLanes; ++l) {
-                ij[l] = shoulder(rules, unit_x[i * kLanes + l], unit_y[i * kLanes + l],
-                                 unit_x[j * kLanes + l], unit_y[j * kLanes + l]);
+            const float *xi = unit_x + i * kLanes, *yi = unit_y + i * kLanes;
+            const float *xj = unit_x + j * kLanes, *yj = unit_y + j * kLanes;
+            if (any_close(rules, xi, yi, xj, yj)) {
+                shoulders(rules, xi, yi, xj, yj, pair(e, i, j), pair(e, j, i));
+                neighbors[int64_t(i) * n + degree[i]++] = j;
+                neighbors[int64_t(j) * n + degree[j]++] = i;
+            } else {
+                std::memset(pair(e, i, j), 0, kLanes * sizeof(float));
+                std::memset(pair(e, j, i), 0, kLanes * sizeof(float));
             }
-            for (int l = 0; l < kLanes; ++l) ji[l] = ij[l];
         }
-        for (int k = 0; k < n; ++k)
-            for (int l = 0; l < kLanes; ++l)
-                near[i * kLanes + l] += smaller(m[i * kLanes + l], m[k * kLanes + l]);
     }
-    float scaled[kLanes], strongest[kLanes];
+    // support(i, j): what backs i's hue and not j's.
     for (int i = 0; i < n; ++i) {
-        for (int l = 0; l < kLanes; ++l) strongest[l] = 0;
         for (int j = 0; j < n; ++j) {
-            if (i == j) continue;
-            float support_i[kLanes] = {}, support_j[kLanes] = {};
-            for (int k = 0; k < n; ++k) {
-                const float *ik = e + (int64_t(i) * n + k) * kLanes;
-                const float *jk = e + (int64_t(j) * n + k) * kLanes;
-                const float *mk = m + k * kLanes;
-                for (int l = 0; l < kLanes; ++l) {
-                    support_i[l] += ik[l] * mk[l] * (1 - jk[l]);
-                    support_j[l] += jk[l] * mk[l] * (1 - ik[l]);
+            for (int l = 0; l < kLanes; l += kRegister) {
+                Lanes sum = {};
+                for (int d = 0; d < degree[i]; ++d) {
+                    const int k = neighbors[int64_t(i) * n + d];
+                    sum += lanes_of(pair(e, i, k) + l) * lanes_of(m + k * kLanes + l) *
+                           (1.0f - lanes_of(pair(e, j, k) + l));
                 }
-            }
-            const float *ij = e + (int64_t(i) * n + j) * kLanes;
-            for (int l = 0; l < kLanes; ++l) {
-                const float rival =
-                    smaller(smaller(support_j[l], near[j * kLanes + l]), support_i[l]);
-                const float q = support_i[l] > 0 ? rival / support_i[l] : 0.0f;
-                strongest[l] = larger(strongest[l], (1 - ij[l]) * q);
+                std::memcpy(pair(support, i, j) + l, &sum, sizeof sum);
             }
         }
-        const float *x = p + int64_t(there[i]) * 2 * kBlock + begin, *y = x + kBlock;
-        for (int l = 0; l < kLanes; ++l) {
-            scaled[l] = 1 - strongest[l];
-            sum0[l] += scaled[l] * x[l];
-            sum1[l] += scaled[l] * y[l];
+    }
+    for (int l = 0; l < kLanes; l += kRegister) {
+        Lanes total0 = {}, total1 = {};
+        for (int i = 0; i < n; ++i) {
+            // The strongest rival's (1 - e) q as a fraction: compared without dividing.
+            Lanes part = {}, whole = part + 1.0f;
+            for (int j = 0; j < n; ++j) {
+                if (j == i) continue;
+                const Lanes own = lanes_of(pair(support, i, j) + l);
+                const Lanes other = smaller(lanes_of(pair(support, j, i) + l),
+                                            lanes_of(hold + j * kLanes + l));
+                const Lanes weight = (1.0f - lanes_of(pair(e, i, j) + l)) * smaller(other, own);
+                const auto stronger = weight * whole > part * own;
+                part = stronger ? weight : part;
+                whole = stronger ? own : whole;
+            }
+            const Lanes scaled = 1.0f - part / whole;
+            total0 += scaled * lanes_of(term(i) + l);
+            total1 += scaled * lanes_of(term(i) + kBlock + l);
         }
+        std::memcpy(sum0 + l, &total0, sizeof total0);
+        std::memcpy(sum1 + l, &total1, sizeof total1);
     }
 }
 
@@ -451,7 +521,7 @@ void reduce_layers(const Rules &rules, const Layer *layers, int count, int width
     float *luminance = p + int64_t(count) * 2 * kBlock;  // (count, kBlock), then the factors:
     float *f_a = luminance + int64_t(count) * kBlock, *f_b = f_a + int64_t(count) * kBlock;
     float *pairs = f_b + int64_t(count) * kBlock;
-    int *there = reinterpret_cast<int *>(pairs + (int64_t(count) * count + 4 * int64_t(count)) * kLanes);
+    int *there = reinterpret_cast<int *>(pairs + pair_floats(count));
     for (int y = 0; y < height; ++y) {
         for (int x = 0; x < width; x += kBlock) {
             const int n = width - x < kBlock ? width - x : kBlock;

@@ -11,6 +11,8 @@ namespace hpcomp {
 
 // Pixels of a block: its planes fill the L1 cache, its terms the L2.
 constexpr int kBlock = 512;
+// Pixels whose terms are compared in pairs at a time.
+constexpr int kLanes = 16;
 
 enum class Sample : int { kU8, kU16, kHalf, kFloat };
 enum class Factor : int { kZero, kOne, kAlpha, kRest };
@@ -34,7 +36,8 @@ struct Layer {
 
 struct Rules {
     int hue_preserving;
-    float tolerance, shoulder_end, inverse_tolerance;  // radians; inverse 0 for a hard switch
+    float tolerance, inverse_tolerance;  // radians; the inverse is 0 for a hard switch
+    float end_sine, end_cosine;          // of the angle from which hues differ
     Order order;
     const int *permutation;  // of the layers, for kPermutation
     int layers;

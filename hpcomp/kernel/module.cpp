@@ -163,6 +163,9 @@ std::shared_ptr<StackRules> make_rules(bool hue_preserving, float tolerance, int
     // Without a tolerance the switch is hard, at what float rounding turns a vector by.
     rules.tolerance = tolerance > 0 ? tolerance : 1e-4f;
     rules.inverse_tolerance = tolerance > 0 ? 1 / tolerance : 0;
+    const float end = tolerance > 0 ? std::min(2 * tolerance, 3.14159265f) : rules.tolerance;
+    rules.end_sine = std::sin(end);
+    rules.end_cosine = std::cos(end);
     rules.order = Order(order);
     rules.permutation = made->permutation.data();
     rules.layers = layers;
@@ -239,9 +242,11 @@ class Accumulator {
             nb::gil_scoped_release unlocked;
             if (!folds()) {
                 const size_t n = layers.size();
-                // p, luminance and factors of each term; pairs, three vectors and an index of each.
+                // p, luminance and factors of each term; for pairs their shoulders and supports,
+                // four vectors of each term, and its index, neighbors and their number.
                 const bool pairs = rules_->rules.order == Order::kSimultaneous;
-                std::vector<float> scratch(n * 5 * kBlock + (pairs ? (n * n + 5 * n) * 16 + n : 0));
+                std::vector<float> scratch(n * 5 * kBlock +
+                                           (pairs ? (2 * n * n + 4 * n) * kLanes + n * n + 2 * n : 0));
                 engine_->reduce(rules_->rules, layers.data(), int(n), width_, height_, state_,
                                 scratch.data(), nonfinite.data());
             }
