@@ -22,6 +22,9 @@ from .samples import Strip
 
 Array = NDArray[np.floating[Any]]
 
+#: More than there are between the faintest and the brightest float.
+MAX_STOPS = 100
+
 #: Pixels that `composite` hands to an engine at a time.
 STRIP_PIXELS = 1 << 18
 
@@ -108,8 +111,8 @@ def stack_rules(
             raise SettingError(f"layer {number}: opacity {value:g} is outside 0 to 1")
     if background is not None and (len(background) != 3 or not np.isfinite(background).all()):
         raise SettingError(f"background {background} is not three finite components, linear RGB")
-    if not np.isfinite(exposure):
-        raise SettingError(f"exposure {exposure} is not a finite number of stops")
+    if not abs(exposure) <= MAX_STOPS:
+        raise SettingError(f"exposure {exposure:g} is outside -{MAX_STOPS} to {MAX_STOPS} stops")
     return StackRules(
         operators=tuple(None if name is None else porter_duff.operator(name) for name in ops),
         opacities=tuple(float(value) for value in opacities),

@@ -7,7 +7,7 @@ from composited colour to the straight sRGB code values of a PNG. No files here.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
@@ -250,14 +250,10 @@ class Losses:
     not_a_number: int = 0
     beyond_half: int = 0
 
-    @staticmethod
-    def sum(parts: Iterable[Losses]) -> Losses:
-        """The counts of all parts together."""
-        total = Losses()
-        for part in parts:
-            for name in vars(total):
-                setattr(total, name, getattr(total, name) + getattr(part, name))
-        return total
+    def add(self, other: Losses) -> None:
+        """Counts those of `other` too."""
+        for name, count in vars(other).items():
+            setattr(self, name, getattr(self, name) + count)
 
 
 def to_straight_srgb(

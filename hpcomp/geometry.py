@@ -59,6 +59,9 @@ def _between(left: int, top: int, right: int, bottom: int) -> Window:
     return Window(left, top, right - left, bottom - top)
 
 
+#: How far from the origin a window may be: pictures are counted in 32-bit numbers.
+FARTHEST = 2**28
+
 _WINDOW = re.compile(r"(\d+)x(\d+)([+-]\d+)([+-]\d+)", re.ASCII)
 
 
@@ -70,6 +73,8 @@ def parse_window(text: str) -> Window:
     width, height, x, y = map(int, match.groups())
     if not width or not height:
         raise SettingError(f"window '{text}' holds no pixel: give it a width and a height")
+    if max(width, height, abs(x), abs(y)) > FARTHEST:
+        raise SettingError(f"window '{text}' reaches beyond {FARTHEST} pixels")
     return Window(x, y, width, height)
 
 
@@ -125,4 +130,6 @@ def parse_placement(text: str) -> Placement:
     gravity, x, y = match.groups()
     if gravity is not None and gravity not in GRAVITIES:
         raise unknown_name("gravity", gravity, GRAVITIES)
+    if max(abs(int(x or 0)), abs(int(y or 0))) > FARTHEST:
+        raise SettingError(f"place '{text}' is beyond {FARTHEST} pixels")
     return Placement(gravity, int(x or 0), int(y or 0))

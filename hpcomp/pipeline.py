@@ -6,9 +6,10 @@ import contextlib
 import logging
 import os
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from threading import Lock
 from typing import Any
 
 import numpy as np
@@ -38,7 +39,7 @@ from .imagefile import (
 )
 from .notices import Notices, warn_of_layers, warn_of_losses, warn_of_problems, warn_of_zeroed
 from .outputfile import whole_output
-from .samples import Strip, encode
+from .samples import Samples, Strip, encode
 from .stackfile import LayerSpec, layer_spec
 from .workers import Workers, reads_ahead, writes_behind
 
@@ -440,8 +441,9 @@ class Budget:
         if self.fixed + self.per_row > max_memory:
             least = -(-(self.fixed + self.per_row) // 2**20)
             raise MismatchError(
-                f"this stack needs at least {least}M, its files being stored {block} rows at a "
-                f"time: raise --max-memory {max_memory / 2**20:.3g}M"
+                f"this stack needs at least {least:.0f}M"
+                + (f", as a file is stored {block} rows at a time" if block > 1 else "")
+                + f": raise --max-memory, which is {max_memory / 2**20:.0f}M"
             )
         block = min(block, height)
         rows = (max_memory - self.fixed) // self.per_row
@@ -462,37 +464,38 @@ def _run(
 
     Returns what the file could not hold.
     """
-    strips = [
-        Window(window.x, begin, window.width, end - begin)
-        for begin, end in _strips(window, strip_rows)
-    ]
+
+    def strips() -> Iterator[Window]:
+        for begin, end in _strips(window, strip_rows):
+            yield Window(window.x, begin, window.width, end - begin)
+
     at_once = LAYERS_AT_ONCE
     if rules.reduction is Reduction.ALL_LAYERS:
         at_once = len(layers)
     groups = list(_grouped(rules.arrival, at_once))
     reads = (
-        (number, partial(layers[number].read, rows)) for rows in strips for number in rules.arrival
+        (number, partial(layers[number].read, rows))
+        for rows in strips()
+        for number in rules.arrival
     )
-    lost: list[Losses] = []
+    losses, lock = Losses(), Lock()
     with Workers[Strip | None](threads) as workers:
         arriving = workers.read_ahead(reads)
-        for rows in strips:
+        for rows in strips():
             accumulator = engine.start(rules, rows.width, rows.height)
             for group in groups:
                 arrived = [next(arriving) or _NOTHING for _ in group]
                 workers.composite(partial(accumulator.add, group, arrived))
                 del arrived
-            losses = Losses()
-            lost.append(losses)
+            finish = partial(_finished, accumulator, layers, rows, window, form, losses, lock)
             workers.write_behind(
-                partial(_finished, accumulator, layers, rows, window, form, losses, writer),
-                writer.write,
+                partial(_prepared, finish, writer, rows.y - window.y), writer.write
             )
             del accumulator
         workers.flush()
     for what, seconds in workers.seconds.items():
         log.info("%s: %.3f s of all threads together", what, seconds)
-    return Losses.sum(lost)
+    return losses
 
 
 #: A layer without pixels in a strip: transparent all over.
@@ -511,11 +514,19 @@ def _finished(
     window: Window,
     form: OutputForm,
     losses: Losses,
-    writer: ImageWriter,
-) -> Any:
-    """The strip `rows` as the writer wants it."""
-    samples = accumulator.result(form.kind, losses)
-    for layer, count in zip(layers, accumulator.nonfinite, strict=True):
-        if count:
-            layer.reader.note_nonfinite(max(rows.y - layer.dy, layer.reader.window.y), count)
-    return writer.prepare(rows.y - window.y, samples)
+    lock: Lock,
+) -> Samples:
+    """The strip `rows` as samples of the output."""
+    lost = Losses()
+    samples = accumulator.result(form.kind, lost)
+    with lock:
+        losses.add(lost)
+        for layer, count in zip(layers, accumulator.nonfinite, strict=True):
+            if count:
+                top = max(rows.y - layer.dy, layer.reader.window.y)
+                layer.reader.note_nonfinite(top, count)
+    return samples
+
+
+def _prepared(finish: Callable[[], Samples], writer: ImageWriter, begin: int) -> Any:
+    return writer.prepare(begin, finish())

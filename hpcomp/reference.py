@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from .compositing import Reduction, StackRules
 from .encoding import Losses
-from .samples import Samples, Strip, encode, linear_rgba, placed
+from .samples import Samples, Strip, cropped, encode, linear_rgba, spread
 
 Array = NDArray[np.floating[Any]]
 
@@ -42,13 +42,16 @@ class _Accumulator(ABC):
     def add(self, numbers: Sequence[int], strips: Sequence[Strip]) -> None:
         """Layers by number; `nonfinite` counts their pixels with NaN or Inf."""
         for number, strip in zip(numbers, strips, strict=True):
-            rgba, self.nonfinite[number] = linear_rgba(strip)
-            self.take(number, placed(strip, rgba, self.width, self.height))
+            inside = cropped(strip, self.width, self.height)
+            rgba, self.nonfinite[number] = linear_rgba(inside)
+            with np.errstate(all="ignore"):  # NaN and Inf may have been let through
+                self.take(number, spread(rgba, inside.left, inside.top, self.width, self.height))
 
     def result(self, kind: str, losses: Losses) -> Samples:
         """The composite (height, width, 4) as samples of a kind of `OUTPUT_TYPES`, or float64."""
-        rgba = self.composite().reshape(self.height, self.width, 4)
-        return encode(rgba, kind, losses)
+        with np.errstate(all="ignore"):
+            rgba = self.composite().reshape(self.height, self.width, 4)
+            return encode(rgba, kind, losses)
 
     @abstractmethod
     def _begin(self, n_pixels: int, dtype: Any) -> None: ...

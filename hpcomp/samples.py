@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -80,12 +80,10 @@ def decode(samples: Samples, decoding: Decoding) -> Rgba:
     rgba = np.empty((*samples.shape[:2], 4), np.float32)
     rgb, alpha = rgba[..., :3], rgba[..., 3]
     with np.errstate(invalid="ignore", over="ignore"):
-        if channels % 2:
-            alpha[:] = 1
-        else:
+        alpha[:] = 1
+        if channels % 2 == 0:
             stored_alpha = _as_float(samples[..., -1])
-            # Infinities stay as they are until the policy on them has been asked.
-            alpha[:] = np.where(np.isinf(stored_alpha), stored_alpha, np.clip(stored_alpha, 0, 1))
+            np.clip(stored_alpha, 0, 1, out=alpha)
         if decoding.alpha_mode == "premultiplied-encoded" and channels % 2 == 0:
             rgb[:] = _linear(_divided(_as_float(stored_color), alpha), decoding.encoding)
             rgb *= alpha[..., None]
@@ -95,6 +93,9 @@ def decode(samples: Samples, decoding: Decoding) -> Rgba:
             rgb *= alpha[..., None]
         elif decoding.alpha_mode == "luminance":
             _alpha_from_luminance(rgb, alpha, decoding.stored_straight)
+        if channels % 2 == 0:
+            # Infinities stay as they are until the policy on them has been asked.
+            np.copyto(alpha, stored_alpha, where=np.isinf(stored_alpha))
     return rgba
 
 
@@ -118,18 +119,26 @@ def linear_rgba(strip: Strip) -> tuple[Rgba, int]:
     return rgba, count
 
 
-def placed(strip: Strip, rgba: Rgba, width: int, height: int) -> Rgba:
-    """(height · width, 4): decoded pixels of `strip` on its canvas strip, transparent elsewhere."""
-    rows, columns = rgba.shape[:2]
-    if (strip.left, strip.top, columns, rows) == (0, 0, width, height):
-        return rgba.reshape(-1, 4)
-    whole = np.zeros((height, width, 4), rgba.dtype)
+def cropped(strip: Strip, width: int, height: int) -> Strip:
+    """What of `strip` lies on its canvas strip; the samples are a view."""
+    rows, columns = strip.samples.shape[:2]
     top, left = max(strip.top, 0), max(strip.left, 0)
     bottom, right = min(strip.top + rows, height), min(strip.left + columns, width)
-    if top < bottom and left < right:
-        whole[top:bottom, left:right] = rgba[
-            top - strip.top : bottom - strip.top, left - strip.left : right - strip.left
-        ]
+    if top >= bottom or left >= right:
+        return replace(strip, samples=strip.samples[:0, :0], left=0, top=0)
+    inside = strip.samples[
+        top - strip.top : bottom - strip.top, left - strip.left : right - strip.left
+    ]
+    return replace(strip, samples=inside, left=left, top=top)
+
+
+def spread(rgba: Rgba, left: int, top: int, width: int, height: int) -> Rgba:
+    """(height · width, 4): pixels at their place on a canvas strip, transparent elsewhere."""
+    rows, columns = rgba.shape[:2]
+    if (columns, rows) == (width, height):
+        return rgba.reshape(-1, 4)
+    whole = np.zeros((height, width, 4), rgba.dtype)
+    whole[top : top + rows, left : left + columns] = rgba
     return whole.reshape(-1, 4)
 
 

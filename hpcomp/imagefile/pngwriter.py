@@ -33,6 +33,7 @@ _NONE, _SUB, _UP, _AVERAGE, _PAETH = range(5)
 #: Colour type RGB with alpha.
 _RGBA = 6
 _ADLER_BASE = 65521
+_LARGEST_NUMBER = 2**31 - 1
 #: Deflate's end: a last block without content.
 _LAST_BLOCK = b"\x03\x00"
 
@@ -124,6 +125,7 @@ class Segment:
     deflated: bytes
     adler: int
     size: int
+    rows: int
 
 
 class PngWriter:
@@ -157,13 +159,22 @@ class PngWriter:
         self._put(b"gAMA", struct.pack(">I", 45455))
         red, green, blue, white = np.rint(REC709.xy * 100000).astype(int).tolist()
         self._put(b"cHRM", struct.pack(">8I", *white, *red, *green, *blue))
+        self._put_density(pixel_aspect, pixels_per_metre)
+        self._put(b"IDAT", b"\x78\x01")
+
+    def _put_density(
+        self, pixel_aspect: float, pixels_per_metre: tuple[float, float] | None
+    ) -> None:
+        """pHYs, where there is anything to say that its numbers can hold."""
         if pixels_per_metre is not None:
-            x, y = (round(density) for density in pixels_per_metre)
-            self._put(b"pHYs", struct.pack(">IIB", x, y, 1))
+            densities, unit = pixels_per_metre, 1
         elif pixel_aspect != 1:
             # Pixels a unit, of no unit: their ratio is the shape of a pixel.
-            self._put(b"pHYs", struct.pack(">IIB", 10000, round(10000 * pixel_aspect), 0))
-        self._put(b"IDAT", b"\x78\x01")
+            densities, unit = (10000.0, 10000.0 * pixel_aspect), 0
+        else:
+            return
+        if all(0.5 < density < _LARGEST_NUMBER for density in densities):
+            self._put(b"pHYs", struct.pack(">IIB", *map(round, densities), unit))
 
     def prepare(self, begin: int, rows: Samples) -> list[Segment] | Samples:
         """What of the work on rows from `begin` on needs no other rows: any thread may do it."""
@@ -177,6 +188,7 @@ class PngWriter:
         """Appends what `prepare` gave, in the order of the rows."""
         if isinstance(prepared, list):
             for segment in prepared:
+                self._rows += segment.rows
                 self._append(segment)
             return
         self._waiting.append(prepared)
@@ -191,6 +203,7 @@ class PngWriter:
 
     def finish(self) -> None:
         """Completes the file; `OutputError` where it cannot be."""
+        assert self._rows == self._height, "rows are missing"
         self._put(b"IDAT", _LAST_BLOCK + struct.pack(">I", self._adler))
         self._put(b"IEND", b"")
         try:
@@ -208,9 +221,8 @@ class PngWriter:
             rows = rows.astype(">u2")
         stored = np.ascontiguousarray(rows).view(np.uint8).reshape(len(rows), -1)
         filtered = self._compression.filtered(stored, self._pixel_bytes)
-        return Segment(
-            self._compression.deflate(filtered), zlib.adler32(filtered.data), filtered.size
-        )
+        deflated = self._compression.deflate(filtered)
+        return Segment(deflated, zlib.adler32(filtered.data), filtered.size, len(rows))
 
     def _append(self, segment: Segment) -> None:
         self._adler = _adler32_joined(self._adler, segment.adler, segment.size)

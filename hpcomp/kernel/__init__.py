@@ -17,9 +17,10 @@ from numpy.typing import NDArray
 
 from ..compositing import Reduction, StackRules
 from ..encoding import SRGB, Losses, decode_table, to_rec709
+from ..errors import unknown_name
 from ..orders import ORDERS
 from ..porter_duff import Factor
-from ..samples import OUTPUT_TYPES, PLAIN, Decoding, Samples, Strip, linear_rgba
+from ..samples import OUTPUT_TYPES, PLAIN, Decoding, Samples, Strip, cropped, linear_rgba
 from . import _kernel  # type: ignore[attr-defined]
 
 NAME = "kernel"
@@ -50,6 +51,8 @@ class Accumulator:
         self.rules, self.shape = rules, (height, width, 4)
         self.nonfinite = [0] * len(rules.operators)
         level = os.environ.get(LEVEL_VARIABLE, "")
+        if level not in ("", *levels()):
+            raise unknown_name(f"instruction set in {LEVEL_VARIABLE}", level, levels())
         self._strip = _kernel.Accumulator(_rules(rules), width, height, level)
 
     def add(self, numbers: Sequence[int], strips: Sequence[Strip]) -> None:
@@ -59,10 +62,13 @@ class Accumulator:
             self.nonfinite[number] += count
 
     def _layer(self, number: int, strip: Strip) -> Any:
+        if not strip.decoding.is_plain(strip.samples):
+            strip = cropped(strip, self.shape[1], self.shape[0])
+            rgba, broken = linear_rgba(strip)
+            if strip.decoding.zero_nonfinite:  # else the loops find and count them
+                self.nonfinite[number] += broken
+            strip = Strip(rgba, PLAIN, strip.left, strip.top)
         samples, decoding = strip.samples, strip.decoding
-        if not decoding.is_plain(samples):
-            samples, self.nonfinite[number] = linear_rgba(strip)
-            decoding = PLAIN
         operator = self.rules.operators[number]
         factors = (Factor.ONE, Factor.ZERO)
         if operator is not None:

@@ -29,7 +29,8 @@ HPCOMP_INLINE float magnitude(float x) { return float_of(bits_of(x) & 0x7fffffff
 HPCOMP_INLINE float smaller(float a, float b) { return a < b ? a : b; }
 HPCOMP_INLINE float larger(float a, float b) { return a > b ? a : b; }
 // NaN stays NaN.
-HPCOMP_INLINE float clamped(float x) { return x < 0 ? 0.0f : x > 1 ? 1.0f : x; }
+HPCOMP_INLINE float at_most_one(float x) { return x > 1 ? 1.0f : x; }
+HPCOMP_INLINE float clamped(float x) { return x < 0 ? 0.0f : at_most_one(x); }
 
 // --- samples to planes ---------------------------------------------------------------------------
 
@@ -275,7 +276,7 @@ HPCOMP_INLINE void under_all(const Rules &rules, int n, float *luminance, float 
         at.luminance[i] += weight * luminance[i];  // [R1]
         q0[i] = weight * p0[i];
         q1[i] = weight * p1[i];
-        at.alpha[i] = smaller(at.alpha[i] + weight * alpha[i], 1.0f);
+        at.alpha[i] = at_most_one(at.alpha[i] + weight * alpha[i]);
         transmittance[i] *= 1 - alpha[i];
     }
     add(rules, n, at.p0, at.p1, q0, q1);
@@ -288,7 +289,7 @@ HPCOMP_INLINE void above_all(const Rules &rules, const Layer &layer, int n, floa
     factor(layer.factor_b, alpha, n, f_b);
     for (int i = 0; i < n; ++i) {
         at.luminance[i] = f_a[i] * luminance[i] + f_b[i] * at.luminance[i];  // [R1]
-        at.alpha[i] = smaller(f_a[i] * alpha[i] + f_b[i] * at.alpha[i], 1.0f);
+        at.alpha[i] = at_most_one(f_a[i] * alpha[i] + f_b[i] * at.alpha[i]);
         at.p0[i] *= f_b[i];
         at.p1[i] *= f_b[i];
         p0[i] *= f_a[i];
@@ -541,7 +542,7 @@ void reduce_layers(const Rules &rules, const Layer *layers, int count, int width
                 factor(layers[k].factor_a, at.alpha, n, a);
                 factor(layers[k].factor_b, alpha, n, b);
                 for (int i = 0; i < n; ++i)
-                    at.alpha[i] = smaller(a[i] * alpha[i] + b[i] * at.alpha[i], 1.0f);
+                    at.alpha[i] = at_most_one(a[i] * alpha[i] + b[i] * at.alpha[i]);
             }
             // w_i = F_A,i times the F_B of the layers above, gathered from the top.
             Plane above;
@@ -588,9 +589,10 @@ void into_gamut(const Rules &rules, float *rgb) {
 }
 
 HPCOMP_INLINE uint32_t code_of(const Output &out, float linear) {
-    const float inside = linear < out.smallest ? out.smallest : linear > 1 ? 1.0f : linear;
+    // Never NaN, and never beyond the last threshold, which is infinite.
+    const float inside = linear > out.smallest ? smaller(linear, 1.0f) : out.smallest;
     uint32_t code = out.first_code[(bits_of(inside) - bits_of(out.smallest)) >> (23 - out.bucket_bits)];
-    while (linear >= out.thresholds[code]) ++code;
+    while (inside >= out.thresholds[code]) ++code;
     return code;
 }
 

@@ -60,7 +60,7 @@ const Engine *engine_of(const std::string &level) {
 }
 
 // Far below where sums of coordinates leave an int.
-constexpr int64_t kFarthest = int64_t(1) << 30;
+constexpr int64_t kFarthest = int64_t(1) << 29;
 
 int checked_coordinate(int64_t value) {
     if (value < -kFarthest || value > kFarthest) throw nb::value_error("coordinate out of range");
@@ -126,6 +126,7 @@ StripLayer make_layer(AnyArray samples, std::optional<Table> decode, bool alpha_
     layer.top = checked_coordinate(top);
     layer.width = checked_coordinate(width);
     layer.height = checked_coordinate(height);
+    if (!(opacity >= 0 && opacity <= 1)) throw nb::value_error("opacity must be from 0 to 1");
     layer.opacity = opacity;
     layer.factor_a = factor_of(factor_a);
     layer.factor_b = factor_of(factor_b);
@@ -203,8 +204,17 @@ class Accumulator {
     // layers are reduced at once, `result` tells.
     std::vector<int64_t> add(const std::vector<int> &numbers, std::vector<StripLayer *> strips) {
         if (numbers.size() != strips.size()) throw nb::value_error("a number for each layer");
-        for (const int number : numbers)
-            if (number < 0 || number >= rules_->rules.layers) throw nb::value_error("no such layer");
+        for (const StripLayer *strip : strips)
+            if (strip == nullptr) throw nb::type_error("layers must be made by `layer`");
+        const int layers_in_all = rules_->rules.layers;
+        if (numbers.size() > size_t(layers_in_all - come_)) throw nb::value_error("too many layers");
+        const bool from_front = rules_->rules.order == Order::kFrontToBack;
+        for (size_t i = 0; i < numbers.size(); ++i) {
+            const int turn = come_ + int(i);
+            if (numbers[i] != (from_front ? layers_in_all - 1 - turn : turn))
+                throw nb::value_error("layers out of order");
+        }
+        come_ += int(numbers.size());
         std::vector<int64_t> nonfinite(numbers.size(), 0);
         if (folds()) {
             std::vector<Layer> layers;
@@ -213,10 +223,7 @@ class Accumulator {
             engine_->add(rules_->rules, layers.data(), numbers.data(), int(numbers.size()), width_,
                          height_, state_, nonfinite.data());
         } else {
-            for (size_t i = 0; i < strips.size(); ++i) {
-                if (numbers[i] != int(held_.size())) throw nb::value_error("layers out of order");
-                held_.push_back(*strips[i]);
-            }
+            for (const StripLayer *strip : strips) held_.push_back(*strip);
         }
         return nonfinite;
     }
@@ -228,14 +235,16 @@ class Accumulator {
         if (out.ndim() != 3 || int64_t(out.shape(0)) != height_ || int64_t(out.shape(1)) != width_ ||
             out.shape(2) != 4)
             throw nb::value_error("out must be height x width x 4");
+        if (reinterpret_cast<uintptr_t>(out.data()) % uintptr_t(out.dtype().bits / 8) != 0)
+            throw nb::value_error("out must be aligned");
+        if (come_ != rules_->rules.layers) throw nb::value_error("not all layers have come");
         Output output{};
         output.samples = out.data();
         output.type = sample_of(out.dtype());
-        if (output.type == Sample::kU8 || output.type == Sample::kU16) check_codes(output, thresholds, first_code, bucket_bits, limits);
+        if (output.type == Sample::kU8 || output.type == Sample::kU16)
+            check_codes(output, thresholds, first_code, bucket_bits, limits);
         std::vector<int64_t> nonfinite(held_.size(), 0);
         Losses losses{};
-        if (!folds() && held_.size() != size_t(rules_->rules.layers))
-            throw nb::value_error("not all layers have come");
         std::vector<Layer> layers;
         for (const StripLayer &strip : held_) layers.push_back(strip.layer);
         {
@@ -302,6 +311,7 @@ class Accumulator {
     std::vector<float> planes_;
     State state_{};
     std::vector<StripLayer> held_;
+    int come_ = 0;  // how many layers have
 };
 
 }  // namespace
@@ -315,7 +325,8 @@ NB_MODULE(_kernel, module) {
         for (const Engine *engine : engines()) names.push_back(engine->name);
         return names;
     });
-    module.def("layer", &make_layer, "samples"_a, "decode"_a.none(), "alpha_straight"_a,
+    // Arrays are taken as they are or refused: a converted copy would be slow, or lose a result.
+    module.def("layer", &make_layer, "samples"_a.noconvert(), "decode"_a.none().noconvert(), "alpha_straight"_a,
                "matrix"_a.none(), "left"_a, "top"_a, "opacity"_a, "factor_a"_a, "factor_b"_a,
                "zero_nonfinite"_a);
     module.def("rules", &make_rules, "hue_preserving"_a, "tolerance"_a, "order"_a, "permutation"_a,
@@ -324,7 +335,8 @@ NB_MODULE(_kernel, module) {
         .def(nb::init<std::shared_ptr<StackRules>, int64_t, int64_t, const std::string &>(), "rules"_a,
              "width"_a, "height"_a, "level"_a = "")
         .def("add", &Accumulator::add, "numbers"_a, "layers"_a)
-        .def("result", &Accumulator::result, "out"_a, "thresholds"_a.none(), "first_code"_a.none(),
+        .def("result", &Accumulator::result, "out"_a.noconvert(), "thresholds"_a.none().noconvert(),
+             "first_code"_a.none().noconvert(),
              "bucket_bits"_a, "limits"_a);
 }
 
