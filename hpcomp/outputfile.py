@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import os
-import secrets
-import shutil
 import stat
 import sys
-import tempfile
 from collections.abc import Iterator
+from typing import BinaryIO
 
 from .errors import OutputError, why
 
@@ -31,17 +29,15 @@ def whole_output(target: str, *, clobber: bool = True) -> Iterator[str]:
         raise OutputError(f"{label} is closed: give it a reader, or name a file")
     special = stream or _is_special(target, clobber)
     place = target if special else os.path.realpath(target)
-    directory = None if special else os.path.dirname(place)
     # The name first and the file inside the `try`: wherever a signal strikes, the file is removed.
+    directory = _temporary_directory() if special else os.path.dirname(place)
     hidden = "" if special else "."
-    temporary = os.path.join(
-        directory or tempfile.gettempdir(), f"{hidden}hpcomp.{secrets.token_hex(8)}"
-    )
+    temporary = os.path.join(directory, f"{hidden}hpcomp.{os.urandom(8).hex()}")
     try:
         try:
             os.close(os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o600))
         except OSError as reason:
-            where = tempfile.gettempdir() if directory is None else os.path.dirname(target) or "."
+            where = directory if special else os.path.dirname(target) or "."
             raise OutputError(
                 f"{label}: cannot write in the directory {where}: {why(reason)}"
             ) from None
@@ -49,12 +45,10 @@ def whole_output(target: str, *, clobber: bool = True) -> Iterator[str]:
         try:
             if stream:
                 sys.stdout.flush()
-                with open(temporary, "rb") as written:
-                    shutil.copyfileobj(written, sys.stdout.buffer, 1 << 20)
-                sys.stdout.buffer.flush()
+                _copy(temporary, sys.stdout.buffer)
             elif special:
-                with open(temporary, "rb") as written, open(target, "wb") as device:
-                    shutil.copyfileobj(written, device, 1 << 20)
+                with open(target, "wb") as device:
+                    _copy(temporary, device)
             else:
                 if not clobber and os.path.lexists(place):
                     raise _exists(target)
@@ -67,6 +61,19 @@ def whole_output(target: str, *, clobber: bool = True) -> Iterator[str]:
     finally:
         with contextlib.suppress(FileNotFoundError):
             os.unlink(temporary)
+
+
+def _temporary_directory() -> str:
+    import tempfile  # with all that it imports, which a plain output has no use for
+
+    return tempfile.gettempdir()
+
+
+def _copy(path: str, stream: BinaryIO) -> None:
+    with open(path, "rb") as written:
+        while data := written.read(1 << 20):
+            stream.write(data)
+    stream.flush()
 
 
 def _is_special(target: str, clobber: bool) -> bool:

@@ -41,8 +41,10 @@ recent "$venv/bin/python" ||
     fail "$venv has no pip, as after an interrupted start: remove it and try again"
 
 # A user-wide `pip install --user` setting cannot be obeyed inside a virtual environment.
-echo "Installing hpcomp (the first time, this fetches its libraries)"
-PIP_USER=0 "$venv/bin/python" -m pip install --quiet --disable-pip-version-check "$root" ||
+echo "Installing hpcomp (the first time, this fetches its libraries and compiles its kernel)"
+# Compiled files stay in the environment, so that the next time only what changed is compiled.
+PIP_USER=0 "$venv/bin/python" -m pip install --quiet --disable-pip-version-check \
+    --config-settings build-dir="$venv/build" "$root" ||
     fail "pip could not install $root: its messages are above"
 
 PATH=$venv/bin:$PATH

@@ -14,7 +14,9 @@ venv=${VENV:-$root/.venv}
 python=${PYTHON:-python3}
 
 [ -x "$venv/bin/python" ] || "$python" -m venv "$venv"
-PIP_USER=0 "$venv/bin/python" -m pip install --quiet --disable-pip-version-check "$root[test]"
+# Compiled files stay in the environment, so that the next time only what changed is compiled.
+PIP_USER=0 "$venv/bin/python" -m pip install --quiet --disable-pip-version-check \
+    --config-settings build-dir="$venv/build" "$root[test]"
 
 # Not `python -m pytest`, which would import the checkout instead of what was installed.
 cd -- "$root"

@@ -70,7 +70,8 @@ def cli() -> None:
 
     Layers are PNG or EXR files. Where they overlap, colours are added with the hue-preserving ⊕
     of Chuang, Weiskopf and Möller (2009), in linear light, for any Porter–Duff operator.
-    `hpcomp COMMAND --help` explains a command.
+    `hpcomp COMMAND --help` explains a command. HPCOMP_ENGINE=kernel or =reference in the
+    environment chooses the engine.
     """
 
 

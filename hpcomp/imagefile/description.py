@@ -7,7 +7,6 @@ import os
 import select
 import stat
 import sys
-import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import IO, Any
@@ -112,6 +111,8 @@ def seekable(path: str, label: str) -> Iterator[str]:
 
 def _unnamed_copy() -> IO[bytes]:
     """A temporary file that goes with the process, however that ends, where the system has such."""
+    import tempfile  # with all that it imports, which plain files have no use for
+
     if sys.platform == "linux":
         return tempfile.TemporaryFile(prefix="hpcomp.")
     return tempfile.NamedTemporaryFile(prefix="hpcomp.")

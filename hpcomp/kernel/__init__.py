@@ -135,8 +135,8 @@ def _rules(rules: StackRules) -> Any:
 
 
 def _table(samples: Samples, decoding: Decoding) -> NDArray[np.float32] | None:
-    if samples.dtype.kind != "u":
-        return None
+    if samples.dtype not in (np.uint8, np.uint16):
+        return None  # the door refuses what is neither codes nor floats
     return decode_table(decoding.encoding.transfer, int(np.iinfo(samples.dtype).max))
 
 

@@ -42,8 +42,11 @@ HPCOMP_INLINE float from_half(uint16_t half) {
     return float_of(bits_of(scaled) | special | sign);
 }
 
+// Whatever NaN came in, the same comes out: its sign and payload are the compiler's choice.
+HPCOMP_INLINE float one_nan(float x) { return x != x ? float_of(0x7fc00000u) : x; }
+
 HPCOMP_INLINE uint16_t to_half(float value) {
-    const uint32_t bits = bits_of(value);
+    const uint32_t bits = bits_of(one_nan(value));
     const uint32_t sign = bits & 0x80000000u;
     const uint32_t size = bits ^ sign;
     // Below the normal halves the addition of a half rounds; above, the carry into the exponent.
@@ -716,10 +719,10 @@ void finish(const Rules &rules, int64_t pixels, const State &state, const Output
         case Sample::kFloat: {
             float *to = static_cast<float *>(out.samples) + 4 * begin;
             for (int i = 0; i < n; ++i) {
-                to[4 * i] = red[i];
-                to[4 * i + 1] = green[i];
-                to[4 * i + 2] = blue[i];
-                to[4 * i + 3] = alpha[i];
+                to[4 * i] = one_nan(red[i]);
+                to[4 * i + 1] = one_nan(green[i]);
+                to[4 * i + 2] = one_nan(blue[i]);
+                to[4 * i + 3] = one_nan(alpha[i]);
             }
         }
         }

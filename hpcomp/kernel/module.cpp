@@ -217,8 +217,11 @@ class Accumulator {
         come_ += int(numbers.size());
         std::vector<int64_t> nonfinite(numbers.size(), 0);
         if (folds()) {
+            // Copies, which keep the arrays alive while other threads run.
+            std::vector<StripLayer> taken;
+            for (const StripLayer *strip : strips) taken.push_back(*strip);
             std::vector<Layer> layers;
-            for (const StripLayer *strip : strips) layers.push_back(strip->layer);
+            for (const StripLayer &strip : taken) layers.push_back(strip.layer);
             nb::gil_scoped_release unlocked;
             engine_->add(rules_->rules, layers.data(), numbers.data(), int(numbers.size()), width_,
                          height_, state_, nonfinite.data());
@@ -238,15 +241,18 @@ class Accumulator {
         if (reinterpret_cast<uintptr_t>(out.data()) % uintptr_t(out.dtype().bits / 8) != 0)
             throw nb::value_error("out must be aligned");
         if (come_ != rules_->rules.layers) throw nb::value_error("not all layers have come");
+        if (finished_) throw nb::value_error("the result has been taken");
+        finished_ = true;
         Output output{};
         output.samples = out.data();
         output.type = sample_of(out.dtype());
         if (output.type == Sample::kU8 || output.type == Sample::kU16)
             check_codes(output, thresholds, first_code, bucket_bits, limits);
-        std::vector<int64_t> nonfinite(held_.size(), 0);
+        const std::vector<StripLayer> held = std::move(held_);
+        std::vector<int64_t> nonfinite(held.size(), 0);
         Losses losses{};
         std::vector<Layer> layers;
-        for (const StripLayer &strip : held_) layers.push_back(strip.layer);
+        for (const StripLayer &strip : held) layers.push_back(strip.layer);
         {
             nb::gil_scoped_release unlocked;
             if (!folds()) {
@@ -261,7 +267,6 @@ class Accumulator {
             }
             engine_->finish(rules_->rules, pixels_, state_, output, &losses);
         }
-        held_.clear();
         return {{losses.out_of_gamut, losses.light_without_alpha, losses.not_a_number,
                  losses.beyond_half},
                 nonfinite};
@@ -312,6 +317,7 @@ class Accumulator {
     State state_{};
     std::vector<StripLayer> held_;
     int come_ = 0;  // how many layers have
+    bool finished_ = false;
 };
 
 }  // namespace
