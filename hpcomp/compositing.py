@@ -166,7 +166,7 @@ def composite(layers: Sequence[ArrayLike], **rules: Any) -> Array:
         for number in checked.arrival:
             rgba = np.ascontiguousarray(flat[number][begin:end], dtype)
             accumulator.add([number], [Strip(rgba[None])])
-        result[begin:end] = accumulator.result(dtype.name, Losses())[0]
+        result[begin:end] = accumulator.result("float", Losses())[0]
     return result.reshape(shape)
 
 

@@ -73,7 +73,7 @@ class Strip:
 def decode(samples: Samples, decoding: Decoding) -> Rgba:
     """Stored samples (rows, columns, channels) as linear, premultiplied RGBA, alpha in [0, 1].
 
-    NaN and Inf come through, in alpha too: `linear_rgba` counts them.
+    NaN comes through, and infinite colours.
     """
     channels = samples.shape[2]
     stored_color = samples[..., : 1 if channels <= 2 else 3]
@@ -82,8 +82,7 @@ def decode(samples: Samples, decoding: Decoding) -> Rgba:
     with np.errstate(invalid="ignore", over="ignore"):
         alpha[:] = 1
         if channels % 2 == 0:
-            stored_alpha = _as_float(samples[..., -1])
-            np.clip(stored_alpha, 0, 1, out=alpha)
+            np.clip(_as_float(samples[..., -1]), 0, 1, out=alpha)
         if decoding.alpha_mode == "premultiplied-encoded" and channels % 2 == 0:
             rgb[:] = _linear(_divided(_as_float(stored_color), alpha), decoding.encoding)
             rgb *= alpha[..., None]
@@ -93,29 +92,27 @@ def decode(samples: Samples, decoding: Decoding) -> Rgba:
             rgb *= alpha[..., None]
         elif decoding.alpha_mode == "luminance":
             _alpha_from_luminance(rgb, alpha, decoding.stored_straight)
-        if channels % 2 == 0:
-            # Infinities stay as they are until the policy on them has been asked.
-            np.copyto(alpha, stored_alpha, where=np.isinf(stored_alpha))
     return rgba
 
 
 def linear_rgba(strip: Strip) -> tuple[Rgba, int]:
-    """`decode` of a strip, and how many of its pixels hold NaN or Inf.
+    """`decode` of a strip, and how many of its pixels are stored with NaN or Inf.
 
-    Those become transparent black where its decoding says so; every finite alpha is in [0, 1].
+    Those become transparent black where its decoding says so; every alpha but NaN is in [0, 1].
     """
+    broken, count = None, 0
+    if strip.samples.dtype.kind == "f":
+        finite = np.isfinite(strip.samples)
+        if not finite.all():
+            broken = np.asarray(~finite.all(axis=-1))
+            count = int(broken.sum())
     if strip.samples.dtype == np.float64:  # arrays of the API, never files
         rgba = strip.samples.copy()
+        np.clip(rgba[..., 3], 0, 1, out=rgba[..., 3])
     else:
         rgba = decode(strip.samples, strip.decoding)
-    finite = np.isfinite(rgba)
-    count = 0
-    if not finite.all():
-        broken = np.asarray(~finite.all(axis=-1))
-        count = int(broken.sum())
-        if strip.decoding.zero_nonfinite:
-            rgba[broken] = 0
-    np.clip(rgba[..., 3], 0, 1, out=rgba[..., 3])
+    if broken is not None and strip.decoding.zero_nonfinite:
+        rgba[broken] = 0
     return rgba, count
 
 

@@ -33,6 +33,7 @@ class Workers(Generic[T]):
         self._pool = ThreadPoolExecutor(threads, "hpcomp") if threads > 1 else None
         self._writes: deque[Future[None]] = deque()
         self._last_write: Event | None = None
+        self._write_failed = False
         self._lock = Lock()
 
     def __enter__(self) -> Workers[T]:
@@ -112,8 +113,12 @@ class Workers(Generic[T]):
                 prepared = prepare()
             if previous is not None:
                 previous.wait()
-            with self._timed("writing"):
-                write(prepared)
+            if not self._write_failed:  # a codec whose write failed may wait for ever in the next
+                with self._timed("writing"):
+                    write(prepared)
+        except BaseException:
+            self._write_failed = True
+            raise
         finally:
             done.set()
 

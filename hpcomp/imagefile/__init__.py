@@ -4,12 +4,22 @@ Reading gives samples as stored and what they mean; writing takes samples of the
 Where a layer lies on the canvas, and what is done with it, is not known here.
 """
 
-from .description import STDIN, ColorGroup, ImageFile, Part, choose, describe, seekable
+from .description import (
+    METRES_PER_INCH,
+    STDIN,
+    ColorGroup,
+    ImageFile,
+    Part,
+    choose,
+    describe,
+    seekable,
+)
 from .library import codec_threads
 from .reading import NONFINITE_POLICIES, STRIP_ROWS, LayerImage, LayerReader
 from .writing import ImageWriter, OutputForm, format_of_output, open_writer
 
 __all__ = [
+    "METRES_PER_INCH",
     "NONFINITE_POLICIES",
     "STDIN",
     "STRIP_ROWS",

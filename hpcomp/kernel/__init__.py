@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..addition import BLENDINGS, ROUNDING_ANGLE
 from ..compositing import Reduction, StackRules
 from ..encoding import SRGB, Losses, decode_table, to_rec709
 from ..errors import unknown_name
@@ -87,7 +88,7 @@ class Accumulator:
 
     def result(self, kind: str, losses: Losses) -> Samples:
         """The composite (height, width, 4), as samples of that kind."""
-        out = np.empty(self.shape, OUTPUT_TYPES[_SAME_TYPE.get(kind, kind)])
+        out = np.empty(self.shape, OUTPUT_TYPES[kind])
         counts, nonfinite = self._strip.result(out, *_codes(out.dtype))
         losses.out_of_gamut += counts[0]
         losses.light_without_alpha += counts[1]
@@ -96,9 +97,6 @@ class Accumulator:
         for number, count in enumerate(nonfinite):
             self.nonfinite[number] += count
         return out
-
-
-_SAME_TYPE = {"float32": "float"}
 
 
 @lru_cache(maxsize=8)
@@ -121,8 +119,9 @@ def _rules(rules: StackRules) -> Any:
         background = [float(luminance[0]), float(p[0, 0]), float(p[1, 0])]
     found = rules.space.coefficients
     return _kernel.rules(
-        rules.blending.depends_on_order,
+        rules.blending is BLENDINGS["hue-preserving"],
         math.radians(rules.hue_tolerance),
+        ROUNDING_ANGLE,
         order,
         list(sequence),
         n,

@@ -382,9 +382,6 @@ HPCOMP_INLINE Lanes lanes_of(const float *row) {
 
 HPCOMP_INLINE Lanes smaller(Lanes a, Lanes b) { return a < b ? a : b; }
 
-// Floats and ints of scratch that `rivals_scaled_sum` takes for so many terms.
-HPCOMP_INLINE int64_t pair_floats(int64_t n) { return (2 * n * n + 4 * n) * kLanes; }
-
 // The simultaneous rule for one run of lanes: terms p (count, 2, kBlock) from column `begin`.
 HPCOMP_INLINE void rivals_scaled_sum(const Rules &rules, const float *p, int count, int begin,
                                      float *pairs, int *there, float *sum0, float *sum1) {
@@ -518,13 +515,13 @@ HPCOMP_INLINE void reduce_terms(const Rules &rules, float *p, int count, int n, 
     }
 }
 
-// `scratch`: see `scratch_floats` in the door.
+// `scratch` holds `scratch_floats` of them.
 void reduce_layers(const Rules &rules, const Layer *layers, int count, int width, int height,
                    const State &state, float *scratch, int64_t *nonfinite) {
     float *p = scratch;                                  // (count, 2, kBlock)
     float *luminance = p + int64_t(count) * 2 * kBlock;  // (count, kBlock), then the factors:
     float *f_a = luminance + int64_t(count) * kBlock, *f_b = f_a + int64_t(count) * kBlock;
-    float *pairs = f_b + int64_t(count) * kBlock;
+    float *pairs = scratch + term_floats(count);
     int *there = reinterpret_cast<int *>(pairs + pair_floats(count));
     for (int y = 0; y < height; ++y) {
         for (int x = 0; x < width; x += kBlock) {

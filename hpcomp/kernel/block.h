@@ -18,6 +18,15 @@ enum class Sample : int { kU8, kU16, kHalf, kFloat };
 enum class Factor : int { kZero, kOne, kAlpha, kRest };
 enum class Order : int { kBottomUp, kFrontToBack, kPermutation, kBalanced, kSimultaneous };
 
+// Floats of scratch that a reduction of `n` layers takes: p, luminance and factors of each term; for
+// pairs also their shoulders and supports, four rows of each term, and as ints its index, its
+// neighbors and their number.
+constexpr int64_t term_floats(int64_t n) { return n * 5 * kBlock; }
+constexpr int64_t pair_floats(int64_t n) { return (2 * n * n + 4 * n) * kLanes; }
+constexpr int64_t scratch_floats(Order order, int64_t n) {
+    return term_floats(n) + (order == Order::kSimultaneous ? pair_floats(n) + n * n + 2 * n : 0);
+}
+
 // One layer's strip: rows of interleaved samples and what they mean.
 struct Layer {
     const void *samples;

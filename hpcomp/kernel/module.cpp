@@ -141,7 +141,7 @@ struct StackRules {
     std::vector<int> permutation;
 };
 
-std::shared_ptr<StackRules> make_rules(bool hue_preserving, float tolerance, int order,
+std::shared_ptr<StackRules> make_rules(bool hue_preserving, float tolerance, float rounding_angle, int order,
                                        std::vector<int> permutation, int layers,
                                        std::optional<std::array<float, 3>> background, float gain,
                                        std::array<float, 2> weights, std::array<float, 4> to_p,
@@ -162,7 +162,7 @@ std::shared_ptr<StackRules> make_rules(bool hue_preserving, float tolerance, int
     made->permutation = std::move(permutation);
     rules.hue_preserving = hue_preserving;
     // Without a tolerance the switch is hard, at what float rounding turns a vector by.
-    rules.tolerance = tolerance > 0 ? tolerance : 1e-4f;
+    rules.tolerance = tolerance > 0 ? tolerance : rounding_angle;
     rules.inverse_tolerance = tolerance > 0 ? 1 / tolerance : 0;
     const float end = tolerance > 0 ? std::min(2 * tolerance, 3.14159265f) : rules.tolerance;
     rules.end_sine = std::sin(end);
@@ -257,11 +257,7 @@ class Accumulator {
             nb::gil_scoped_release unlocked;
             if (!folds()) {
                 const size_t n = layers.size();
-                // p, luminance and factors of each term; for pairs their shoulders and supports,
-                // four vectors of each term, and its index, neighbors and their number.
-                const bool pairs = rules_->rules.order == Order::kSimultaneous;
-                std::vector<float> scratch(n * 5 * kBlock +
-                                           (pairs ? (2 * n * n + 4 * n) * kLanes + n * n + 2 * n : 0));
+                std::vector<float> scratch(size_t(scratch_floats(rules_->rules.order, int64_t(n))));
                 engine_->reduce(rules_->rules, layers.data(), int(n), width_, height_, state_,
                                 scratch.data(), nonfinite.data());
             }
@@ -335,7 +331,7 @@ NB_MODULE(_kernel, module) {
     module.def("layer", &make_layer, "samples"_a.noconvert(), "decode"_a.none().noconvert(), "alpha_straight"_a,
                "matrix"_a.none(), "left"_a, "top"_a, "opacity"_a, "factor_a"_a, "factor_b"_a,
                "zero_nonfinite"_a);
-    module.def("rules", &make_rules, "hue_preserving"_a, "tolerance"_a, "order"_a, "permutation"_a,
+    module.def("rules", &make_rules, "hue_preserving"_a, "tolerance"_a, "rounding_angle"_a, "order"_a, "permutation"_a,
                "layers"_a, "background"_a.none(), "gain"_a, "weights"_a, "to_p"_a, "from_p"_a);
     nb::class_<Accumulator>(module, "Accumulator")
         .def(nb::init<std::shared_ptr<StackRules>, int64_t, int64_t, const std::string &>(), "rules"_a,

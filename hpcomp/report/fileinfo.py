@@ -6,7 +6,7 @@ from typing import Any
 
 from ..errors import InputError, printable
 from ..geometry import Window
-from ..imagefile import ColorGroup, ImageFile, Part, choose
+from ..imagefile import METRES_PER_INCH, ColorGroup, ImageFile, Part, choose
 
 #: Version of the data that `as_data` gives; it grows when a key changes its meaning or goes.
 SCHEMA_VERSION = 1
@@ -80,24 +80,25 @@ def as_text(file: ImageFile) -> str:
         lines.append(f"  cannot be read as it is: {data['problem']}")
     for part in file.parts:
         chosen = data["read_as"] is not None and data["read_as"]["part"] == part.index
-        rows = {
-            "part": f"{part.index} {part.name}".rstrip() + (" (read)" if chosen else ""),
-            "windows": f"data {part.data_window}, display {part.display_window}",
-            "storage": ", ".join(filter(None, [_storage(part), part.compression])),
-            "channels": ", ".join(f"{c.name} {c.type}" for c in part.channels),
-            "light": f"{part.encoding.transfer.name}, from {part.encoding_source}",
-            "primaries": part.encoding.primaries.name,
-        }
+        rows = [
+            ("part", f"{part.index} {part.name}".rstrip() + (" (read)" if chosen else "")),
+            ("windows", f"data {part.data_window}, display {part.display_window}"),
+            ("storage", ", ".join(filter(None, [_storage(part), part.compression]))),
+            ("channels", ", ".join(f"{c.name} {c.type}" for c in part.channels)),
+            ("light", f"{part.encoding.transfer.name}, from {part.encoding_source}"),
+            ("primaries", part.encoding.primaries.name),
+        ]
         for group in part.groups:
             color = "".join(c.name.rpartition(".")[2] for c in group.color)
-            rows[f"layer {group.layer}".rstrip()] = f"colour {color}, alpha {_alpha(file, group)}"
+            rows.append(
+                (f"layer {group.layer}".rstrip(), f"colour {color}, alpha {_alpha(file, group)}")
+            )
         if part.pixel_aspect != 1:
-            rows["pixel aspect"] = f"{part.pixel_aspect:g}"
+            rows.append(("pixel aspect", f"{part.pixel_aspect:g}"))
         if part.pixels_per_metre:
-            x, y = part.pixels_per_metre
-            rows["resolution"] = f"{x * 0.0254:.6g} x {y * 0.0254:.6g} pixels per inch"
-        for problem in part.problems:
-            rows["not honoured"] = problem
-        width = max(map(len, rows))
-        lines += [f"  {name:<{width}}  {value}" for name, value in rows.items()]
+            x, y = (density * METRES_PER_INCH for density in part.pixels_per_metre)
+            rows.append(("resolution", f"{x:.6g} x {y:.6g} pixels per inch"))
+        rows += [("warning", problem) for problem in part.problems]
+        width = max(len(name) for name, _ in rows)
+        lines += [f"  {name:<{width}}  {value}" for name, value in rows]
     return "\n".join(map(printable, lines))
