@@ -51,8 +51,10 @@ DEFAULT_MAX_MEMORY = "1G"
 
 #: Layers that are added in one pass over a strip, where they fold.
 LAYERS_AT_ONCE = 8
-#: A pixel of float32 RGBA, of an accumulator's planes, and of numpy's decoding.
-RGBA_BYTES, PLANES_BYTES, DECODING_BYTES = 16, 20, 48
+#: What the reference engine takes for a block of pixels and the pairs of their terms.
+NUMPY_BYTES = 10 << 20
+#: A pixel of float32 RGBA, of an accumulator's planes, and of numpy's decoding, partly in doubles.
+RGBA_BYTES, PLANES_BYTES, DECODING_BYTES = 16, 20, 180
 #: Files that are open beside the layers: libraries, the output, the standard streams.
 OTHER_OPEN_FILES = 64
 
@@ -130,7 +132,12 @@ def stack(
         window = output_window(
             placed_on, [layer.window for layer in placed], overscan, wanted_region
         )
-        strip_rows = Budget.of(placed, window.width, rules, form, n_threads).rows(
+        # More threads take more memory: no more of them than the budget has room for.
+        estimate = Budget.of(placed, window.width, rules, form, n_threads)
+        while n_threads > 1 and estimate.fixed + estimate.per_row > budget:
+            n_threads -= 1
+            estimate = Budget.of(placed, window.width, rules, form, n_threads)
+        strip_rows = estimate.rows(
             max(reader.part.rows_per_block for reader in readers), window.height, budget
         )
         log.info(
@@ -420,15 +427,17 @@ class Budget:
             widest = sorted((reader.bytes_per_row for reader in readers), reverse=True)
             held = sum(widest[:LAYERS_AT_ONCE])
         decoded = 0
-        if engine.active().DECODES_IN_NUMPY:
-            decoded = (len(readers) if rules.reduction is Reduction.ALL_LAYERS else 2) * RGBA_BYTES
-            decoded += DECODING_BYTES + RGBA_BYTES
+        in_numpy = engine.active().DECODES_IN_NUMPY
+        if in_numpy or not all(reader.is_plain for reader in readers):
+            at_once = len(readers) if rules.reduction is Reduction.ALL_LAYERS else LAYERS_AT_ONCE
+            decoded = min(at_once, len(readers)) * RGBA_BYTES + DECODING_BYTES
         widest_row = max(reader.bytes_per_row for reader in readers)
         return Budget(
             per_row=held
             + reads_ahead(threads) * widest_row
             + width * (decoded + writes_behind(threads) * (PLANES_BYTES + form.bytes_per_pixel)),
-            fixed=sum(reader.bytes_held for reader in readers)
+            fixed=(NUMPY_BYTES if in_numpy else 0)
+            + sum(reader.bytes_held for reader in readers)
             + threads * max(reader.bytes_to_decode for reader in readers)
             + form.bytes_to_encode(width),
         )

@@ -19,7 +19,7 @@ from isal import isal_zlib
 from numpy.typing import NDArray
 
 from ..encoding import REC709
-from ..errors import OutputError
+from ..errors import OutputError, why
 from ..pngheader import SIGNATURE
 from ..samples import Samples
 
@@ -128,6 +128,11 @@ class Segment:
     rows: int
 
 
+def segment_bytes(row_bytes: int) -> int:
+    """The size of a segment of rows that long."""
+    return _ROWS * row_bytes * -(-_SEGMENT_BYTES // (_ROWS * row_bytes))
+
+
 class PngWriter:
     """Writes one RGBA picture, rows top to bottom. `label` names the file in errors."""
 
@@ -148,11 +153,14 @@ class PngWriter:
         self._pixel_bytes = 4 * depth // 8
         self._compression = COMPRESSIONS[compression]
         row_bytes = width * self._pixel_bytes
-        self._segment_rows = _ROWS * -(-_SEGMENT_BYTES // (_ROWS * row_bytes))
+        self._segment_rows = segment_bytes(row_bytes) // row_bytes
         self._waiting: list[Samples] = []
         self._rows = 0
         self._adler = 1
-        self._file: BinaryIO = open(path, "wb")  # noqa: SIM115
+        try:
+            self._file: BinaryIO = open(path, "wb")  # noqa: SIM115
+        except OSError as reason:
+            raise self._error(reason) from None
         self._put_bytes(SIGNATURE)
         self._put(b"IHDR", struct.pack(">IIBBBBB", width, height, depth, _RGBA, 0, 0, 0))
         self._put(b"sRGB", b"\0")
@@ -241,8 +249,7 @@ class PngWriter:
             raise self._error(reason) from None
 
     def _error(self, reason: OSError) -> OutputError:
-        why = (reason.strerror or str(reason)).lower()
-        return OutputError(f"{self.label}: cannot be written: {why}")
+        return OutputError(f"{self.label}: cannot be written: {why(reason)}")
 
 
 def _adler32_joined(first: int, second: int, second_size: int) -> int:

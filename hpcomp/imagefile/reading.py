@@ -22,8 +22,6 @@ STRIP_ROWS = 64
 
 #: Of the sample types that files store.
 _SAMPLE_BYTES = {"uint8": 1, "uint16": 2, "half": 2, "float": 4, "uint": 4}
-#: A pixel while numpy decodes it: stored floats, RGBA, linear colours, and a mask.
-_DECODED_BYTES = 16 + 16 + 12 + 4
 #: Headers, offset tables and buffers of an open file.
 _OPEN_FILE_BYTES = 1 << 17
 
@@ -77,6 +75,12 @@ class LayerReader:
     @property
     def has_alpha(self) -> bool:
         return self.group.alpha is not None or self.decoding.alpha_mode == "luminance"
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether the kernel decodes this layer itself; numpy takes memory of its own."""
+        integers = self.file.format == "png"
+        return self.decoding.is_plain(np.empty(0, np.uint8 if integers else np.float32))
 
     @property
     def bytes_per_row(self) -> int:

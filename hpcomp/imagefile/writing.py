@@ -71,6 +71,9 @@ class OutputForm:
 
     def bytes_to_encode(self, width: int) -> int:
         """Memory of the codec while it encodes rows of that width."""
+        if self.format == "png":
+            # Segments gathered, filtered and deflated, one in each of two threads.
+            return _CODEC_BYTES + 8 * pngwriter.segment_bytes(width * self.bytes_per_pixel // 3)
         rows = _ROWS_PER_BLOCK.get(self.compression, 1)
         return _CODEC_BYTES + 6 * rows * width * 4 * (4 if self.depth == "float" else 2)
 

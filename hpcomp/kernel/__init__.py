@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from functools import cache, lru_cache
 from typing import Any
 
@@ -51,6 +51,7 @@ class Accumulator:
     def __init__(self, rules: StackRules, width: int, height: int) -> None:
         self.rules, self.shape = rules, (height, width, 4)
         self.nonfinite = [0] * len(rules.operators)
+        self._decoded: set[int] = set()  # layers whose broken pixels were counted by numpy
         level = os.environ.get(LEVEL_VARIABLE, "")
         if level not in ("", *levels()):
             raise unknown_name(f"instruction set in {LEVEL_VARIABLE}", level, levels())
@@ -59,15 +60,18 @@ class Accumulator:
     def add(self, numbers: Sequence[int], strips: Sequence[Strip]) -> None:
         """Layers by number; `nonfinite` counts their pixels with NaN or Inf."""
         layers = [self._layer(n, strip) for n, strip in zip(numbers, strips, strict=True)]
-        for number, count in zip(numbers, self._strip.add(list(numbers), layers), strict=True):
-            self.nonfinite[number] += count
+        self._count(numbers, self._strip.add(list(numbers), layers))
+
+    def _count(self, numbers: Iterable[int], counts: Sequence[int]) -> None:
+        for number, count in zip(numbers, counts, strict=False):
+            if number not in self._decoded:
+                self.nonfinite[number] += count
 
     def _layer(self, number: int, strip: Strip) -> Any:
         if not strip.decoding.is_plain(strip.samples):
             strip = cropped(strip, self.shape[1], self.shape[0])
-            rgba, broken = linear_rgba(strip)
-            if strip.decoding.zero_nonfinite:  # else the loops find and count them
-                self.nonfinite[number] += broken
+            rgba, self.nonfinite[number] = linear_rgba(strip)
+            self._decoded.add(number)
             strip = Strip(rgba, PLAIN, strip.left, strip.top)
         samples, decoding = strip.samples, strip.decoding
         operator = self.rules.operators[number]
@@ -94,8 +98,7 @@ class Accumulator:
         losses.light_without_alpha += counts[1]
         losses.not_a_number += counts[2]
         losses.beyond_half += counts[3]
-        for number, count in enumerate(nonfinite):
-            self.nonfinite[number] += count
+        self._count(range(len(nonfinite)), nonfinite)
         return out
 
 

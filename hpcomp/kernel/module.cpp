@@ -71,6 +71,11 @@ using AnyArray = nb::ndarray<nb::ro, nb::device::cpu>;
 using Table = nb::ndarray<const float, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
 using CodeTable = nb::ndarray<const uint16_t, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
 
+void check_aligned(const void *data, int64_t bytes) {
+    if (reinterpret_cast<uintptr_t>(data) % uintptr_t(bytes) != 0)
+        throw nb::value_error("an array must be aligned");
+}
+
 Sample sample_of(nb::dlpack::dtype type) {
     if (type == nb::dtype<uint8_t>()) return Sample::kU8;
     if (type == nb::dtype<uint16_t>()) return Sample::kU16;
@@ -105,13 +110,13 @@ StripLayer make_layer(AnyArray samples, std::optional<Table> decode, bool alpha_
     if (samples.size() != 0 &&
         ((channels > 1 && samples.stride(2) != 1) || (width > 1 && samples.stride(1) != channels)))
         throw nb::value_error("the samples of a row must be contiguous");
-    if (reinterpret_cast<uintptr_t>(samples.data()) % uintptr_t(bytes) != 0)
-        throw nb::value_error("the samples must be aligned");
+    check_aligned(samples.data(), bytes);
     const bool codes = layer.type == Sample::kU8 || layer.type == Sample::kU16;
     if (codes) {
         const size_t needed = layer.type == Sample::kU8 ? 256 : 65536;
         if (!decode || decode->shape(0) != needed)
             throw nb::value_error("integer samples need a table with a value for each code");
+        check_aligned(decode->data(), sizeof(float));
         made.decode = *decode;
         layer.decode = made.decode.data();
     }
@@ -238,8 +243,7 @@ class Accumulator {
         if (out.ndim() != 3 || int64_t(out.shape(0)) != height_ || int64_t(out.shape(1)) != width_ ||
             out.shape(2) != 4)
             throw nb::value_error("out must be height x width x 4");
-        if (reinterpret_cast<uintptr_t>(out.data()) % uintptr_t(out.dtype().bits / 8) != 0)
-            throw nb::value_error("out must be aligned");
+        check_aligned(out.data(), out.dtype().bits / 8);
         if (come_ != rules_->rules.layers) throw nb::value_error("not all layers have come");
         if (finished_) throw nb::value_error("the result has been taken");
         finished_ = true;
@@ -279,6 +283,7 @@ class Accumulator {
         const size_t codes = output.type == Sample::kU8 ? 256 : 65536;
         if (!thresholds || thresholds->shape(0) != codes)
             throw nb::value_error("integer output needs a threshold for each code");
+        check_aligned(thresholds->data(), sizeof(float));
         // The last one is infinite: no value passes it, and no code beyond it exists.
         for (size_t i = 0; i < codes; ++i)
             if (!(thresholds->data()[i] > (i ? thresholds->data()[i - 1] : 0.0f)))
@@ -294,6 +299,7 @@ class Accumulator {
             throw nb::value_error("buckets must begin at a power of two below 1");
         if (!first_code || first_code->shape(0) != (size_t(octaves) << bucket_bits) + 1)
             throw nb::value_error("a first code for each bucket is needed");
+        check_aligned(first_code->data(), sizeof(uint16_t));
         for (size_t i = 0; i < first_code->shape(0); ++i)
             if (first_code->data()[i] >= codes) throw nb::value_error("a first code out of range");
         output.thresholds = thresholds->data();
