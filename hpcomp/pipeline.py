@@ -51,6 +51,8 @@ DEFAULT_MAX_MEMORY = "1G"
 
 #: Layers that are added in one pass over a strip, where they fold.
 LAYERS_AT_ONCE = 8
+#: A thread's stack and arena.
+THREAD_BYTES = 1 << 20
 #: What the reference engine takes for a block of pixels and the pairs of their terms.
 NUMPY_BYTES = 10 << 20
 #: A pixel of float32 RGBA, of an accumulator's planes, and of numpy's decoding, partly in doubles.
@@ -132,14 +134,13 @@ def stack(
         window = output_window(
             placed_on, [layer.window for layer in placed], overscan, wanted_region
         )
+        block = max(reader.rows_at_once for reader in readers)
         # More threads take more memory: no more of them than the budget has room for.
         estimate = Budget.of(placed, window.width, rules, form, n_threads)
-        while n_threads > 1 and estimate.fixed + estimate.per_row > budget:
+        while n_threads > 1 and estimate.least(min(block, window.height)) > budget:
             n_threads -= 1
             estimate = Budget.of(placed, window.width, rules, form, n_threads)
-        strip_rows = estimate.rows(
-            max(reader.part.rows_per_block for reader in readers), window.height, budget
-        )
+        strip_rows = estimate.rows(block, window.height, budget)
         log.info(
             "%d layers on canvas %s, %s, order %s",
             len(specs),
@@ -422,7 +423,8 @@ class Budget:
         """An estimate from above; the tests hold it against real peaks."""
         readers = [layer.reader for layer in layers]
         if rules.reduction is Reduction.ALL_LAYERS:
-            held = sum(reader.bytes_per_row for reader in readers)
+            # Strips that are being finished still hold their layers.
+            held = sum(reader.bytes_per_row for reader in readers) * (1 + writes_behind(threads))
         else:
             widest = sorted((reader.bytes_per_row for reader in readers), reverse=True)
             held = sum(widest[:LAYERS_AT_ONCE])
@@ -439,7 +441,8 @@ class Budget:
             fixed=(NUMPY_BYTES if in_numpy else 0)
             + sum(reader.bytes_held for reader in readers)
             + threads * max(reader.bytes_to_decode for reader in readers)
-            + form.bytes_to_encode(width),
+            + form.bytes_to_encode(width, threads)
+            + threads * THREAD_BYTES,
         )
 
     def rows(self, block: int, height: int, max_memory: int) -> int:
@@ -447,17 +450,21 @@ class Budget:
 
         Errors: `MismatchError` that names the least memory this stack can be made in.
         """
-        if self.fixed + self.per_row > max_memory:
-            least = -(-(self.fixed + self.per_row) // 2**20)
+        block = min(block, height)
+        least = self.least(block)
+        if least > max_memory:
             raise MismatchError(
-                f"this stack needs at least {least:.0f}M"
+                f"this stack needs at least {-(-least // 2**20)}M"
                 + (f", as a file is stored {block} rows at a time" if block > 1 else "")
                 + f": raise --max-memory, which is {max_memory / 2**20:.0f}M"
             )
-        block = min(block, height)
         rows = (max_memory - self.fixed) // self.per_row
         wanted = -(-STRIP_ROWS // block) * block
-        return min(wanted, rows - rows % block if rows > block else rows)
+        return min(wanted, rows - rows % block)
+
+    def least(self, block: int) -> int:
+        """The memory for strips of one compression block: any less would decode it many times."""
+        return self.fixed + block * self.per_row
 
 
 def _run(

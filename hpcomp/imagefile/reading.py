@@ -83,6 +83,11 @@ class LayerReader:
         return self.decoding.is_plain(np.empty(0, np.uint8 if integers else np.float32))
 
     @property
+    def rows_at_once(self) -> int:
+        """Rows that the codec decodes together; a picture that it holds whole asks for no more."""
+        return 1 if self.part.interlaced else self.part.rows_per_block
+
+    @property
     def bytes_per_row(self) -> int:
         """Memory of one row as it is read: its samples, and a copy where they must be gathered."""
         sample = _SAMPLE_BYTES.get(self._type, 4)
@@ -99,9 +104,9 @@ class LayerReader:
 
     @property
     def bytes_held(self) -> int:
-        """Memory of the codec as long as the file is open: all of an interlaced PNG."""
-        rows = self.part.rows_per_block if self.part.interlaced else 1
-        return _OPEN_FILE_BYTES + rows * self._bytes_per_stored_row
+        """Memory of the codec as long as the file is open: a block, or all of an interlaced PNG."""
+        block = self.part.rows_per_block * self._bytes_per_stored_row
+        return _OPEN_FILE_BYTES + block + block // 16
 
     @property
     def _bytes_per_stored_row(self) -> int:

@@ -31,6 +31,8 @@ FORMATS = tuple(DEPTHS)
 
 #: The state and buffers of a codec.
 _CODEC_BYTES = 1 << 17
+#: The tables of one DWA compressor.
+_DWA_BYTES = 10 << 20
 
 
 def format_of_output(path: str, format: str | None = None) -> str:
@@ -69,13 +71,17 @@ class OutputForm:
         sample = {"8": 1, "16": 2, "half": 2, "float": 4}[self.depth]
         return 4 * sample * (3 if self.format == "png" else 1)
 
-    def bytes_to_encode(self, width: int) -> int:
-        """Memory of the codec while it encodes rows of that width."""
+    def bytes_to_encode(self, width: int, threads: int) -> int:
+        """Memory of the codec while it encodes rows of that width in so many threads."""
         if self.format == "png":
             # Segments gathered, filtered and deflated, one in each of two threads.
             return _CODEC_BYTES + 8 * pngwriter.segment_bytes(width * self.bytes_per_pixel // 3)
         rows = _ROWS_PER_BLOCK.get(self.compression, 1)
-        return _CODEC_BYTES + 6 * rows * width * 4 * (4 if self.depth == "float" else 2)
+        block = rows * width * self.bytes_per_pixel
+        if self.compression in ("dwaa", "dwab"):
+            # OpenEXR keeps two line buffers a thread, each with a compressor of its own.
+            return _CODEC_BYTES + 2 * threads * (_DWA_BYTES + 4 * block)
+        return _CODEC_BYTES + 6 * block
 
     @staticmethod
     def checked(

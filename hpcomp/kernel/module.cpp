@@ -246,12 +246,12 @@ class Accumulator {
         check_aligned(out.data(), out.dtype().bits / 8);
         if (come_ != rules_->rules.layers) throw nb::value_error("not all layers have come");
         if (finished_) throw nb::value_error("the result has been taken");
-        finished_ = true;
         Output output{};
         output.samples = out.data();
         output.type = sample_of(out.dtype());
         if (output.type == Sample::kU8 || output.type == Sample::kU16)
             check_codes(output, thresholds, first_code, bucket_bits, limits);
+        finished_ = true;
         const std::vector<StripLayer> held = std::move(held_);
         std::vector<int64_t> nonfinite(held.size(), 0);
         Losses losses{};

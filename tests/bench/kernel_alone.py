@@ -1,0 +1,83 @@
+"""Times the kernel on float layers in memory, without files; prints JSON.
+
+    python kernel_alone.py THREADS RUNS
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import statistics
+import sys
+import time
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from drawing import layer
+
+from hpcomp import kernel
+from hpcomp.compositing import StackRules, stack_rules
+from hpcomp.encoding import Losses
+from hpcomp.samples import Strip
+
+WIDTH, HEIGHT, STRIP_ROWS = 3840, 2160, 64
+
+
+@dataclass(frozen=True)
+class Case:
+    """One way to composite the same layers."""
+
+    layers: int
+    blending: str
+    order: str
+    level: str
+    threads: int
+
+
+def cases(threads: int) -> list[Case]:
+    levels = kernel.levels()
+    fastest = levels[-1]
+    bottom_up = [
+        Case(4, blending, "bottom-up", level, n)
+        for blending in ("hue-preserving", "traditional")
+        for level in levels
+        for n in sorted({1, threads})
+    ]
+    orders = ("bottom-up", "top-down", "balanced", "simultaneous")
+    return bottom_up + [Case(8, "hue-preserving", order, fastest, threads) for order in orders]
+
+
+def composite_strip(rules: StackRules, layers: list[Any], begin: int) -> None:
+    strips = [Strip(pixels[begin : begin + STRIP_ROWS]) for pixels in layers]
+    accumulator = kernel.start(rules, WIDTH, len(strips[0].samples))
+    accumulator.add(rules.arrival, [strips[number] for number in rules.arrival])
+    accumulator.result("float", Losses())
+
+
+def seconds(case: Case, layers: list[Any]) -> tuple[float, float]:
+    """Wall time, and CPU time of all threads."""
+    os.environ[kernel.LEVEL_VARIABLE] = case.level
+    rules = stack_rules(case.layers, blending=case.blending, order=case.order)
+    with ThreadPoolExecutor(case.threads) as pool:
+        wall, cpu = time.perf_counter(), time.process_time()
+        rows = range(0, HEIGHT, STRIP_ROWS)
+        list(pool.map(lambda row: composite_strip(rules, layers[: case.layers], row), rows))
+        return time.perf_counter() - wall, time.process_time() - cpu
+
+
+def main() -> None:
+    threads, runs = map(int, sys.argv[1:])
+    layers = [layer(number, WIDTH, HEIGHT) for number in range(8)]
+    todo = cases(threads)
+    turns = [[seconds(case, layers) for case in todo] for _ in range(runs + 1)][1:]
+    found = []
+    for case, times in zip(todo, zip(*turns, strict=True), strict=True):
+        nanosecond = WIDTH * HEIGHT * (case.layers - 1) / 1e9
+        wall, cpu = (statistics.median(each) / nanosecond for each in zip(*times, strict=True))
+        found.append({**asdict(case), "wall": wall, "cpu": cpu})
+    print(json.dumps(found))
+
+
+if __name__ == "__main__":
+    main()
