@@ -44,8 +44,8 @@ def whole_output(target: str, *, clobber: bool = True) -> Iterator[str]:
         yield temporary
         try:
             if stream:
-                sys.stdout.flush()
-                _copy(temporary, sys.stdout.buffer)
+                with stdout_bytes() as pipe:
+                    _copy(temporary, pipe)
             elif special:
                 with open(target, "wb") as device:
                     _copy(temporary, device)
@@ -61,6 +61,15 @@ def whole_output(target: str, *, clobber: bool = True) -> Iterator[str]:
     finally:
         with contextlib.suppress(FileNotFoundError):
             os.unlink(temporary)
+
+
+def stdout_bytes() -> BinaryIO:
+    """Stdout as a stream that writes all that it is given.
+
+    Python's own does not where PYTHONUNBUFFERED is set: what a pipe does not take at once is lost.
+    """
+    sys.stdout.flush()
+    return open(sys.stdout.fileno(), "wb", closefd=False)
 
 
 def _temporary_directory() -> str:

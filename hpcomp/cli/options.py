@@ -11,6 +11,7 @@ from typing import Any, TypeVar
 import click
 
 from ..errors import HpcompWarning, OutputError, SettingError, why
+from ..outputfile import stdout_bytes
 from .messages import say
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -57,7 +58,8 @@ def print_data(text: str) -> None:
     if sys.stdout is None:
         raise OutputError("stdout is closed: give it a reader")
     try:
-        click.echo(text)
+        with stdout_bytes() as stdout:
+            stdout.write(f"{text}\n".encode(sys.stdout.encoding or "utf-8", "backslashreplace"))
     except BrokenPipeError:
         raise
     except OSError as reason:

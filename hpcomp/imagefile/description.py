@@ -133,8 +133,10 @@ def _copy_pipe(source: int, copy: IO[bytes]) -> None:
 
 
 def _is_plain(path: str) -> bool:
+    """Whether libraries can open it again and again: no pipe, and a name that is UTF-8."""
     mode = os.stat(path).st_mode
-    return stat.S_ISREG(mode) or stat.S_ISDIR(mode)
+    utf8 = path.isascii() or not any("\udc80" <= character <= "\udcff" for character in path)
+    return stat.S_ISDIR(mode) or (stat.S_ISREG(mode) and utf8)
 
 
 def describe(path: str, label: str | None = None) -> ImageFile:

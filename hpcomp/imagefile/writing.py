@@ -176,8 +176,16 @@ class ExrWriter:
             raise self._error()
 
     def finish(self) -> None:
-        if not self._output.close():
+        if not self._output.close() or not self._is_whole():
             raise self._error()
+
+    def _is_whole(self) -> bool:
+        """Whether the last rows are there: closing does not notice that a disk is full."""
+        written = oiio.ImageInput.open(self._path)
+        if written is None:
+            return False
+        last = self._spec.y + self._spec.height - 1
+        return written.read_scanlines(0, 0, last, last + 1, 0, 0, 4, "half") is not None
 
     def abandon(self) -> None:
         with contextlib.suppress(Exception):
