@@ -14,7 +14,7 @@ from .description import (
     describe,
     seekable,
 )
-from .library import codec_threads
+from .door import codec_threads
 from .reading import NONFINITE_POLICIES, STRIP_ROWS, LayerImage, LayerReader
 from .writing import ImageWriter, OutputForm, format_of_output, open_writer
 

@@ -21,7 +21,7 @@ from ..encoding import (
 )
 from ..errors import InputError, why
 from ..geometry import Window
-from .library import error_text, open_input
+from .door import error_text, open_input
 
 STDIN = "-"
 METRES_PER_INCH = 0.0254

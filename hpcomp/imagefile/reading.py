@@ -13,7 +13,7 @@ from ..errors import InputError, MismatchError, unknown_name
 from ..geometry import Window
 from ..samples import Decoding, Rgba, Samples, Strip, linear_rgba
 from .description import Channel, ColorGroup, ImageFile, Part
-from .library import error_text, open_input
+from .door import error_text, open_input
 
 NONFINITE_POLICIES = ("error", "zero", "keep")
 

@@ -15,7 +15,7 @@ from ..geometry import Window
 from ..samples import Samples
 from . import pngwriter
 from .description import METRES_PER_INCH, STDIN
-from .library import error_text
+from .door import error_text
 
 EXR_COMPRESSIONS = (
     "zip", "none", "rle", "zips", "piz", "pxr24", "b44", "b44a", "dwaa", "dwab",
