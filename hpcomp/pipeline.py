@@ -52,7 +52,9 @@ DEFAULT_MAX_MEMORY = "1G"
 #: Layers that are added in one pass over a strip, where they fold.
 LAYERS_AT_ONCE = 8
 #: A thread's stack and arena.
-THREAD_BYTES = 1 << 20
+THREAD_BYTES = 2 << 20
+#: Of the budget: the rest is for what the allocator keeps back.
+USED_SHARE = 0.85
 #: What the reference engine takes for a block of pixels and the pairs of their terms.
 NUMPY_BYTES = 10 << 20
 #: A pixel of float32 RGBA, of an accumulator's planes, and of numpy's decoding, partly in doubles.
@@ -124,7 +126,6 @@ def stack(
     with contextlib.ExitStack() as opened:
         target = opened.enter_context(whole_output(output, clobber=clobber))
         _allow_open_files(len(specs))
-        opened.enter_context(codec_threads(reading=1, writing=n_threads))
         readers = [
             opened.enter_context(_opened_layer(spec, spec.label(number), nonfinite))
             for number, spec in enumerate(specs)
@@ -141,6 +142,7 @@ def stack(
             n_threads -= 1
             estimate = Budget.of(placed, window.width, rules, form, n_threads)
         strip_rows = estimate.rows(block, window.height, budget)
+        opened.enter_context(codec_threads(reading=1, writing=n_threads))
         log.info(
             "%d layers on canvas %s, %s, order %s",
             len(specs),
@@ -458,13 +460,13 @@ class Budget:
                 + (f", as a file is stored {block} rows at a time" if block > 1 else "")
                 + f": raise --max-memory, which is {max_memory / 2**20:.0f}M"
             )
-        rows = (max_memory - self.fixed) // self.per_row
+        rows = (int(max_memory * USED_SHARE) - self.fixed) // self.per_row
         wanted = -(-STRIP_ROWS // block) * block
-        return min(wanted, rows - rows % block)
+        return max(block, min(wanted, rows - rows % block))
 
     def least(self, block: int) -> int:
         """The memory for strips of one compression block: any less would decode it many times."""
-        return self.fixed + block * self.per_row
+        return int((self.fixed + block * self.per_row) / USED_SHARE) + 1
 
 
 def _run(

@@ -32,7 +32,7 @@ FORMATS = tuple(DEPTHS)
 #: The state and buffers of a codec.
 _CODEC_BYTES = 1 << 17
 #: The tables of one DWA compressor.
-_DWA_BYTES = 10 << 20
+_DWA_BYTES = 13 << 20
 
 
 def format_of_output(path: str, format: str | None = None) -> str:

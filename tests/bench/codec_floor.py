@@ -1,7 +1,7 @@
 """The codec floor: OpenImageIO decodes the layers and encodes the result, and nothing between.
 
-    python codec_floor.py samples RESULT RAW               RESULT's samples as stored, as .npy
-    python codec_floor.py run THREADS RAW OUTPUT LAYER...  prints the seconds of the codecs alone
+python codec_floor.py samples RESULT RAW               RESULT's samples as stored, as .npy
+python codec_floor.py run THREADS RAW OUTPUT LAYER...  prints the seconds of the codecs alone
 """
 
 from __future__ import annotations
@@ -18,23 +18,22 @@ import OpenImageIO as oiio
 STRIP_ROWS = 64
 
 
-def opened(path: str) -> Any:
-    config = oiio.ImageSpec()
-    config.attribute("oiio:UnassociatedAlpha", 1)  # as stored: no arithmetic on PNG
-    reader = oiio.ImageInput.open(path, config)
-    assert reader is not None, oiio.geterror()
-    return reader
+def checked(result: Any, source: Any) -> Any:
+    if result is None or result is False:
+        raise SystemExit(f"codec floor: {source.geterror()}")
+    return result
 
 
 def strips(path: str) -> Iterator[Any]:
     """The samples of a file as stored, strip by strip."""
-    reader = opened(path)
+    config = oiio.ImageSpec()
+    config.attribute("oiio:UnassociatedAlpha", 1)  # no arithmetic on PNG
+    reader = checked(oiio.ImageInput.open(path, config), oiio)
     spec = reader.spec()
     for begin in range(spec.y, spec.y + spec.height, STRIP_ROWS):
         end = min(begin + STRIP_ROWS, spec.y + spec.height)
         rows = reader.read_scanlines(0, 0, begin, end, 0, 0, spec.nchannels, spec.format)
-        assert rows is not None, reader.geterror()
-        yield rows
+        yield checked(rows, reader)
     reader.close()
 
 
@@ -50,12 +49,12 @@ def encode(samples: Any, path: str) -> None:
     spec.attribute("oiio:UnassociatedAlpha", 1)
     if kind == "half":
         spec.attribute("compression", "zip")
-    writer = oiio.ImageOutput.create(path)
-    assert writer.open(path, spec), writer.geterror()
+    writer = checked(oiio.ImageOutput.create(path), oiio)
+    checked(writer.open(path, spec), writer)
     for begin in range(0, height, STRIP_ROWS):
         rows = samples[begin : begin + STRIP_ROWS]
-        assert writer.write_scanlines(begin, begin + len(rows), 0, rows), writer.geterror()
-    assert writer.close(), writer.geterror()
+        checked(writer.write_scanlines(begin, begin + len(rows), 0, rows), writer)
+    checked(writer.close(), writer)
 
 
 def run(threads: int, raw: str, output: str, layers: list[str]) -> None:

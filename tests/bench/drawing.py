@@ -1,6 +1,6 @@
 """Draws the layers that the benchmarks composite: a textured ground, and overlays with soft edges.
 
-    python drawing.py WIDTH HEIGHT FILE...      one layer a file, bottom first
+python drawing.py WIDTH HEIGHT FILE...      one layer a file, bottom first
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Times the kernel on float layers in memory, without files; prints JSON.
 
-    python kernel_alone.py THREADS RUNS
+python kernel_alone.py THREADS RUNS
 """
 
 from __future__ import annotations
