@@ -1148,8 +1148,10 @@ class TestDoor:
             make_accumulator(width=width, height=height)
 
     def test_memory_that_there_is_not(self):
+        # Layers that come one by one are folded into planes of the whole strip.
+        accumulator = make_accumulator(width=2**26, height=2**26)
         with pytest.raises(MemoryError):
-            make_accumulator(width=2**26, height=2**26)
+            accumulator.add([0], [make_layer()])
 
     def test_strip_without_rules_or_level(self):
         with refused():

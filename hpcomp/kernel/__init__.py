@@ -98,7 +98,7 @@ class Accumulator:
         losses.light_without_alpha += counts[1]
         losses.not_a_number += counts[2]
         losses.beyond_half += counts[3]
-        self._count(range(len(nonfinite)), nonfinite)
+        self._count(self.rules.arrival, nonfinite)
         return out
 
 

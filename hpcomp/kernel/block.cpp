@@ -13,6 +13,10 @@ namespace {
 
 using Plane = float[kBlock];
 
+constexpr int kCacheLine = 64;
+// Pixels that are unpacked between two looks ahead: memory is asked for while it is computed on.
+constexpr int kAhead = 64;
+
 HPCOMP_INLINE uint32_t bits_of(float value) {
     uint32_t bits;
     std::memcpy(&bits, &value, sizeof bits);
@@ -86,12 +90,20 @@ template <class Kind, int Channels>
 HPCOMP_INLINE void unpack(const Kind kind, const typename Kind::Stored *stored, int n, float *red,
                           float *green, float *blue, float *alpha) {
     constexpr bool is_grey = Channels <= 2;
-    for (int i = 0; i < n; ++i) {
-        const typename Kind::Stored *pixel = stored + i * Channels;
-        red[i] = Kind::color(kind, pixel[0]);
-        green[i] = is_grey ? red[i] : Kind::color(kind, pixel[is_grey ? 0 : 1]);
-        blue[i] = is_grey ? red[i] : Kind::color(kind, pixel[is_grey ? 0 : 2]);
-        alpha[i] = Channels % 2 == 0 ? Kind::alpha(kind, pixel[Channels - 1]) : 1.0f;
+    constexpr int kPixelBytes = Channels * int(sizeof(typename Kind::Stored));
+    for (int begin = 0; begin < n; begin += kAhead) {
+        const int stop = n - begin < kAhead ? n : begin + kAhead;
+        // The same run of the next block; processors ignore what lies outside the array.
+        const uintptr_t next = reinterpret_cast<uintptr_t>(stored) + uintptr_t((begin + kBlock) * kPixelBytes);
+        for (int line = 0; line < kAhead * kPixelBytes; line += kCacheLine)
+            __builtin_prefetch(reinterpret_cast<const void *>(next + uintptr_t(line)), 0, 2);
+        for (int i = begin; i < stop; ++i) {
+            const typename Kind::Stored *pixel = stored + i * Channels;
+            red[i] = Kind::color(kind, pixel[0]);
+            green[i] = is_grey ? red[i] : Kind::color(kind, pixel[is_grey ? 0 : 1]);
+            blue[i] = is_grey ? red[i] : Kind::color(kind, pixel[is_grey ? 0 : 2]);
+            alpha[i] = Channels % 2 == 0 ? Kind::alpha(kind, pixel[Channels - 1]) : 1.0f;
+        }
     }
 }
 
@@ -728,12 +740,9 @@ void finish(const Rules &rules, int64_t pixels, const State &state, const Output
 
 }  // namespace
 
-#define HPCOMP_NAME_OF(level) #level
-#define HPCOMP_QUOTED(level) HPCOMP_NAME_OF(level)
 #define HPCOMP_JOINED(prefix, level) prefix##level
 #define HPCOMP_SYMBOL(prefix, level) HPCOMP_JOINED(prefix, level)
 extern const Engine HPCOMP_SYMBOL(engine_, HPCOMP_LEVEL);
-const Engine HPCOMP_SYMBOL(engine_, HPCOMP_LEVEL) = {HPCOMP_QUOTED(HPCOMP_LEVEL), add_layers,
-                                                     reduce_layers, finish};
+const Engine HPCOMP_SYMBOL(engine_, HPCOMP_LEVEL) = {add_layers, reduce_layers, finish};
 
 }  // namespace hpcomp

@@ -80,7 +80,6 @@ struct Losses {
 
 // What the door calls; one set for each instruction set.
 struct Engine {
-    const char *name;
     // Adds layers to the accumulated strip of `width` x `height`; `nonfinite` counts pixels a layer.
     void (*add)(const Rules &, const Layer *, const int *numbers, int count, int width, int height,
                 const State &, int64_t *nonfinite);

@@ -16,48 +16,18 @@
 #include <memory>
 #include <stdexcept>
 
-#include "block.h"
+#include "door.h"
+#include "levels.h"
 
 namespace nb = nanobind;
 using namespace nb::literals;
 
 namespace hpcomp {
 
-extern const Engine engine_baseline;
-#ifdef HPCOMP_HAS_V3
-extern const Engine engine_v3;
-#endif
-#ifdef HPCOMP_HAS_V4
-extern const Engine engine_v4;
-#endif
-
 namespace {
 
-// The engines that this processor can run, the fastest last.
-std::vector<const Engine *> engines() {
-    std::vector<const Engine *> found = {&engine_baseline};
-#ifdef HPCOMP_HAS_V3
-    __builtin_cpu_init();
-    const bool v3 = __builtin_cpu_supports("avx2") && __builtin_cpu_supports("bmi2") &&
-                    __builtin_cpu_supports("fma");
-    if (v3) found.push_back(&engine_v3);
-#ifdef HPCOMP_HAS_V4
-    if (v3 && __builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512bw") &&
-        __builtin_cpu_supports("avx512cd") && __builtin_cpu_supports("avx512dq") &&
-        __builtin_cpu_supports("avx512vl"))
-        found.push_back(&engine_v4);
-#endif
-#endif
-    return found;
-}
-
-const Engine *engine_of(const std::string &level) {
-    const auto found = engines();
-    if (level.empty()) return found.back();
-    for (const Engine *engine : found)
-        if (level == engine->name) return engine;
-    throw nb::value_error("this processor does not run that level");
-}
+// Pixels of a band: its planes stay in the L2 cache beside the samples.
+constexpr int kBandPixels = 1 << 12;
 
 // Far below where sums of coordinates leave an int.
 constexpr int64_t kFarthest = int64_t(1) << 29;
@@ -71,17 +41,11 @@ using AnyArray = nb::ndarray<nb::ro, nb::device::cpu>;
 using Table = nb::ndarray<const float, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
 using CodeTable = nb::ndarray<const uint16_t, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
 
-void check_aligned(const void *data, int64_t bytes) {
-    if (reinterpret_cast<uintptr_t>(data) % uintptr_t(bytes) != 0)
-        throw nb::value_error("an array must be aligned");
-}
-
 Sample sample_of(nb::dlpack::dtype type) {
     if (type == nb::dtype<uint8_t>()) return Sample::kU8;
     if (type == nb::dtype<uint16_t>()) return Sample::kU16;
     if (type == nb::dtype<float>()) return Sample::kFloat;
-    if (type.code == uint8_t(nb::dlpack::dtype_code::Float) && type.bits == 16 && type.lanes == 1)
-        return Sample::kHalf;
+    if (is_half(type)) return Sample::kHalf;
     throw nb::type_error("samples must be uint8, uint16, float16 or float32");
 }
 
@@ -193,20 +157,13 @@ class Accumulator {
   public:
     Accumulator(std::shared_ptr<StackRules> rules, int64_t width, int64_t height,
                 const std::string &level)
-        : rules_(std::move(rules)), engine_(engine_of(level)), width_(checked_coordinate(width)),
+        : rules_(std::move(rules)), engine_(level_of(level).engine), width_(checked_coordinate(width)),
           height_(checked_coordinate(height)) {
         if (width < 1 || height < 1) throw nb::value_error("a strip needs pixels");
-        pixels_ = width * height;
-        const bool front = rules_->rules.order == Order::kFrontToBack;
-        planes_.assign(size_t(pixels_) * (front ? 5 : 4), 0.0f);
-        float *plane = planes_.data();
-        state_ = {plane, plane + pixels_, plane + 2 * pixels_, plane + 3 * pixels_,
-                  front ? plane + 4 * pixels_ : nullptr};
-        if (front) std::fill(planes_.begin() + 4 * pixels_, planes_.end(), 1.0f);
     }
 
-    // Takes layers in their turn. Returns how many pixels of each are NaN or infinite; where all
-    // layers are reduced at once, `result` tells.
+    // Takes layers in their turn. Returns how many pixels of each are NaN or infinite; where layers
+    // wait for all the others, `result` tells.
     std::vector<int64_t> add(const std::vector<int> &numbers, std::vector<StripLayer *> strips) {
         if (numbers.size() != strips.size()) throw nb::value_error("a number for each layer");
         for (const StripLayer *strip : strips)
@@ -221,7 +178,9 @@ class Accumulator {
         }
         come_ += int(numbers.size());
         std::vector<int64_t> nonfinite(numbers.size(), 0);
-        if (folds()) {
+        waits_ = !folds() || int(numbers.size()) == layers_in_all;
+        if (!waits_) {
+            if (planes_.empty()) begin_planes(height_);
             // Copies, which keep the arrays alive while other threads run.
             std::vector<StripLayer> taken;
             for (const StripLayer *strip : strips) taken.push_back(*strip);
@@ -258,14 +217,12 @@ class Accumulator {
         std::vector<Layer> layers;
         for (const StripLayer &strip : held) layers.push_back(strip.layer);
         {
-            nb::gil_scoped_release unlocked;
-            if (!folds()) {
-                const size_t n = layers.size();
-                std::vector<float> scratch(size_t(scratch_floats(rules_->rules.order, int64_t(n))));
-                engine_->reduce(rules_->rules, layers.data(), int(n), width_, height_, state_,
-                                scratch.data(), nonfinite.data());
-            }
-            engine_->finish(rules_->rules, pixels_, state_, output, &losses);
+            const nb::gil_scoped_release unlocked;
+            if (waits_)
+                reduce_in_bands(std::move(layers), output, int64_t(out.dtype().bits / 8), &losses,
+                                nonfinite.data());
+            else
+                engine_->finish(rules_->rules, int64_t(height_) * width_, state_, output, &losses);
         }
         return {{losses.out_of_gamut, losses.light_without_alpha, losses.not_a_number,
                  losses.beyond_half},
@@ -275,6 +232,44 @@ class Accumulator {
   private:
     bool folds() const {
         return rules_->rules.order == Order::kBottomUp || rules_->rules.order == Order::kFrontToBack;
+    }
+
+    // Planes of so many rows. The bottom layer and reductions write all of them; from the front, layers
+    // come under nothing: no light, no alpha, full transmittance.
+    void begin_planes(int64_t rows) {
+        const int64_t pixels = rows * width_;
+        const bool front = rules_->rules.order == Order::kFrontToBack;
+        if (planes_.empty()) planes_.resize(size_t(pixels) * (front ? 5 : 4));
+        float *plane = planes_.data();
+        state_ = {plane, plane + pixels, plane + 2 * pixels, plane + 3 * pixels,
+                  front ? plane + 4 * pixels : nullptr};
+        if (!front) return;
+        std::fill(plane, plane + 4 * pixels, 0.0f);
+        std::fill(plane + 4 * pixels, plane + 5 * pixels, 1.0f);
+    }
+
+    // All layers, from samples to samples in bands whose planes stay in cache.
+    void reduce_in_bands(std::vector<Layer> layers, const Output &output, int64_t sample_bytes,
+                         Losses *losses, int64_t *nonfinite) {
+        const Rules &rules = rules_->rules;
+        const int n = int(layers.size());
+        std::vector<int> numbers(layers.size());
+        for (int i = 0; i < n; ++i)
+            numbers[size_t(i)] = rules.order == Order::kFrontToBack ? n - 1 - i : i;
+        std::vector<float> scratch(folds() ? 0 : size_t(scratch_floats(rules.order, n)));
+        const int band = std::max(1, kBandPixels / width_);
+        for (int y = 0; y < height_; y += band) {
+            const int rows = std::min(band, height_ - y);
+            begin_planes(rows);
+            if (folds())
+                engine_->add(rules, layers.data(), numbers.data(), n, width_, rows, state_, nonfinite);
+            else
+                engine_->reduce(rules, layers.data(), n, width_, rows, state_, scratch.data(), nonfinite);
+            Output part = output;
+            part.samples = static_cast<char *>(output.samples) + 4 * sample_bytes * width_ * y;
+            engine_->finish(rules, int64_t(rows) * width_, state_, part, losses);
+            for (Layer &layer : layers) layer.top -= rows;
+        }
     }
 
     static void check_codes(Output &output, const std::optional<Table> &thresholds,
@@ -314,11 +309,11 @@ class Accumulator {
     std::shared_ptr<StackRules> rules_;
     const Engine *engine_;
     int width_, height_;
-    int64_t pixels_;
     std::vector<float> planes_;
     State state_{};
     std::vector<StripLayer> held_;
     int come_ = 0;  // how many layers have
+    bool waits_ = true;     // for all layers, which are held until then
     bool finished_ = false;
 };
 
@@ -330,7 +325,7 @@ NB_MODULE(_kernel, module) {
     nb::class_<StackRules>(module, "Rules");
     module.def("levels", [] {
         std::vector<std::string> names;
-        for (const Engine *engine : engines()) names.push_back(engine->name);
+        for (const Level &level : levels()) names.push_back(level.name);
         return names;
     });
     // Arrays are taken as they are or refused: a converted copy would be slow, or lose a result.
@@ -346,6 +341,7 @@ NB_MODULE(_kernel, module) {
         .def("result", &Accumulator::result, "out"_a.noconvert(), "thresholds"_a.none().noconvert(),
              "first_code"_a.none().noconvert(),
              "bucket_bits"_a, "limits"_a);
+    bind_packing(module);
 }
 
 }  // namespace hpcomp

@@ -1,0 +1,226 @@
+#include "packing.h"
+
+#include <cstring>
+
+#ifndef HPCOMP_LEVEL
+#error "compile with -DHPCOMP_LEVEL=<name of this instruction set's packing>"
+#endif
+
+namespace hpcomp {
+namespace {
+
+constexpr uint64_t kEvenBytes = 0x00ff00ff00ff00ffu;
+constexpr uint64_t kOnes = 0x0001000100010001u;
+// EXR's differences are stored with this added.
+constexpr uint8_t kBias = 128;
+
+// --- EXR -----------------------------------------------------------------------------------------
+
+// split[i] = the sum of packed[0..i] without their biases, modulo 256.
+void undo_differences(const uint8_t *packed, int64_t bytes, uint8_t *split) {
+    uint64_t sum = kBias;  // the first byte is stored without a bias
+    int64_t i = 0;
+#if __BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__
+    // Eight at a time: sums of pairs of bytes in lanes of 16 bits, which one multiplication adds up.
+    for (; i + 8 <= bytes; i += 8) {
+        uint64_t differences;
+        std::memcpy(&differences, packed + i, 8);
+        differences ^= 0x8080808080808080u;  // minus the bias, modulo 256
+        const uint64_t odd = (differences >> 8) & kEvenBytes;
+        const uint64_t up_to_odd = ((differences & kEvenBytes) + odd) * kOnes;
+        const uint64_t before = (sum & 0xffu) * kOnes;
+        // Lanes stay below 2^16: four pairs of bytes and what came before.
+        const uint64_t at_odd = (up_to_odd + before) & kEvenBytes;
+        const uint64_t at_even = (up_to_odd + before + (kOnes << 8) - odd) & kEvenBytes;
+        const uint64_t sums = at_even | at_odd << 8;
+        std::memcpy(split + i, &sums, 8);
+        sum += up_to_odd >> 48;
+    }
+#endif
+    for (; i < bytes; ++i) {
+        sum += uint8_t(packed[i] - kBias);
+        split[i] = uint8_t(sum);
+    }
+}
+
+void merge(const uint8_t *packed, int64_t bytes, uint8_t *split, uint16_t *merged) {
+    undo_differences(packed, bytes, split);
+    const int64_t units = bytes / 2;
+    const uint8_t *even = split, *odd = split + units;
+    for (int64_t i = 0; i < units; ++i) merged[i] = uint16_t(even[i] | odd[i] << 8);
+}
+
+void interleave(const PlanarRows &of, const uint16_t *planar, int64_t rows, uint16_t *out) {
+    const int64_t width = of.width, step = int64_t(of.count) * of.units;
+    for (int64_t y = 0; y < rows; ++y, planar += of.row_units, out += width * step) {
+        if (of.count == 4 && of.units == 1) {
+            const uint16_t *a = planar + of.channels[0], *b = planar + of.channels[1];
+            const uint16_t *c = planar + of.channels[2], *d = planar + of.channels[3];
+            for (int64_t x = 0; x < width; ++x) {
+                out[4 * x] = a[x];
+                out[4 * x + 1] = b[x];
+                out[4 * x + 2] = c[x];
+                out[4 * x + 3] = d[x];
+            }
+            continue;
+        }
+        for (int k = 0; k < of.count; ++k) {
+            const uint16_t *plane = planar + of.channels[k];
+            uint16_t *to = out + k * of.units;
+            if (of.units == 1)
+                for (int64_t x = 0; x < width; ++x) to[x * step] = plane[x];
+            else
+                for (int64_t x = 0; x < width; ++x) {
+                    to[x * step] = plane[2 * x];
+                    to[x * step + 1] = plane[2 * x + 1];
+                }
+        }
+    }
+}
+
+void pack(const uint16_t *samples, int units, int64_t width, int64_t rows, uint8_t *split,
+          uint8_t *packed) {
+    const int64_t all = rows * width * 4 * units;
+    uint8_t *even = split, *odd = split + all;
+    for (int64_t y = 0; y < rows; ++y) {
+        for (int channel = 3; channel >= 0; --channel) {
+            const uint16_t *from = samples + y * width * 4 * units + channel * units;
+            if (units == 1) {
+                for (int64_t x = 0; x < width; ++x) {
+                    even[x] = uint8_t(from[4 * x]);
+                    odd[x] = uint8_t(from[4 * x] >> 8);
+                }
+            } else {
+                for (int64_t x = 0; x < width; ++x) {
+                    even[2 * x] = uint8_t(from[8 * x]);
+                    odd[2 * x] = uint8_t(from[8 * x] >> 8);
+                    even[2 * x + 1] = uint8_t(from[8 * x + 1]);
+                    odd[2 * x + 1] = uint8_t(from[8 * x + 1] >> 8);
+                }
+            }
+            even += width * units, odd += width * units;
+        }
+    }
+    packed[0] = split[0];
+    for (int64_t i = 1; i < 2 * all; ++i) packed[i] = uint8_t(split[i] - split[i - 1] + kBias);
+}
+
+// --- PNG -----------------------------------------------------------------------------------------
+
+enum Filter : uint8_t { kNone, kSub, kUp, kAverage, kPaeth };
+
+inline int distance(int a, int b) { return a < b ? b - a : a - b; }
+
+// Rows whose pixels have so many bytes.
+template <int Bytes>
+bool unfilter_pixels(const uint8_t *filtered, int64_t rows, int64_t row_bytes, const uint8_t *above,
+                     uint8_t *out) {
+    for (int64_t y = 0; y < rows; ++y) {
+        const uint8_t filter = *filtered++;
+        switch (filter) {
+        case kNone: std::memcpy(out, filtered, size_t(row_bytes)); break;
+        case kUp:
+            for (int64_t i = 0; i < row_bytes; ++i) out[i] = uint8_t(filtered[i] + above[i]);
+            break;
+        case kSub: {
+            uint8_t left[Bytes] = {};
+            for (int64_t i = 0; i < row_bytes; i += Bytes)
+                for (int b = 0; b < Bytes; ++b)
+                    out[i + b] = left[b] = uint8_t(filtered[i + b] + left[b]);
+            break;
+        }
+        case kAverage: {
+            uint8_t left[Bytes] = {};
+            for (int64_t i = 0; i < row_bytes; i += Bytes)
+                for (int b = 0; b < Bytes; ++b)
+                    out[i + b] = left[b] = uint8_t(filtered[i + b] + ((left[b] + above[i + b]) >> 1));
+            break;
+        }
+        case kPaeth: {
+            int left[Bytes] = {}, corner[Bytes] = {};
+            for (int64_t i = 0; i < row_bytes; i += Bytes) {
+                for (int b = 0; b < Bytes; ++b) {
+                    const int up = above[i + b];
+                    const int to_left = distance(up, corner[b]), to_up = distance(left[b], corner[b]);
+                    const int to_corner = distance(left[b] + up, 2 * corner[b]);
+                    const int vertical = to_up <= to_corner ? up : corner[b];
+                    const bool is_left = (to_left <= to_up) & (to_left <= to_corner);
+                    left[b] = (filtered[i + b] + (is_left ? left[b] : vertical)) & 0xff;
+                    corner[b] = up;
+                    out[i + b] = uint8_t(left[b]);
+                }
+            }
+            break;
+        }
+        default: return false;
+        }
+        filtered += row_bytes;
+        above = out;
+        out += row_bytes;
+    }
+    return true;
+}
+
+bool unfilter(const uint8_t *filtered, int64_t rows, int64_t row_bytes, int pixel_bytes,
+              const uint8_t *above, uint8_t *out) {
+    switch (pixel_bytes) {
+    case 1: return unfilter_pixels<1>(filtered, rows, row_bytes, above, out);
+    case 2: return unfilter_pixels<2>(filtered, rows, row_bytes, above, out);
+    case 3: return unfilter_pixels<3>(filtered, rows, row_bytes, above, out);
+    case 4: return unfilter_pixels<4>(filtered, rows, row_bytes, above, out);
+    case 6: return unfilter_pixels<6>(filtered, rows, row_bytes, above, out);
+    case 8: return unfilter_pixels<8>(filtered, rows, row_bytes, above, out);
+    default: return false;
+    }
+}
+
+// A byte's distance to 0 as a signed number, 0 to 128.
+inline uint32_t size_of(uint8_t difference) {
+    const uint8_t negated = uint8_t(-difference);
+    return difference < negated ? difference : negated;
+}
+
+// Writes the differences to the bytes so far back; returns the sum of their sizes.
+int64_t filter_row(const uint8_t *row, const uint8_t *back, int64_t n, uint8_t *differences) {
+    int64_t sum = 0;
+    for (int64_t begin = 0; begin < n; begin += 4096) {  // sums of so many fit 32 bits, in lanes
+        const int64_t end = begin + 4096 < n ? begin + 4096 : n;
+        uint32_t part = 0;
+        for (int64_t i = begin; i < end; ++i) {
+            differences[i] = uint8_t(row[i] - back[i]);
+            part += size_of(differences[i]);
+        }
+        sum += part;
+    }
+    return sum;
+}
+
+int64_t filter_left(const uint8_t *row, int64_t row_bytes, int pixel_bytes, uint8_t *differences) {
+    int64_t sum = 0;
+    for (int i = 0; i < pixel_bytes; ++i) sum += size_of(differences[i] = row[i]);
+    return sum + filter_row(row + pixel_bytes, row, row_bytes - pixel_bytes, differences + pixel_bytes);
+}
+
+void filter(const uint8_t *rows, int64_t count, int64_t row_bytes, int pixel_bytes,
+            uint8_t *filtered) {
+    for (int64_t y = 0; y < count; ++y, rows += row_bytes, filtered += row_bytes + 1) {
+        filtered[0] = kSub;
+        const int64_t of_sub = filter_left(rows, row_bytes, pixel_bytes, filtered + 1);
+        if (y == 0) continue;
+        const int64_t of_up = filter_row(rows, rows - row_bytes, row_bytes, filtered + 1);
+        filtered[0] = kUp;
+        if (of_sub < of_up) {
+            filtered[0] = kSub;
+            filter_left(rows, row_bytes, pixel_bytes, filtered + 1);
+        }
+    }
+}
+
+}  // namespace
+
+#define HPCOMP_JOINED(prefix, level) prefix##level
+#define HPCOMP_SYMBOL(prefix, level) HPCOMP_JOINED(prefix, level)
+extern const Packing HPCOMP_SYMBOL(packing_, HPCOMP_LEVEL);
+const Packing HPCOMP_SYMBOL(packing_, HPCOMP_LEVEL) = {merge, interleave, pack, unfilter, filter};
+
+}  // namespace hpcomp
