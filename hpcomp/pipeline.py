@@ -31,7 +31,6 @@ from .imagefile import (
     LayerReader,
     OutputForm,
     choose,
-    codec_threads,
     describe,
     format_of_output,
     open_writer,
@@ -142,7 +141,10 @@ def stack(
             n_threads -= 1
             estimate = Budget.of(placed, window.width, rules, form, n_threads)
         strip_rows = estimate.rows(block, window.height, budget)
-        opened.enter_context(codec_threads(reading=1, writing=n_threads))
+        if form.by_openimageio or any(reader.by_openimageio for reader in readers):
+            from .imagefile.openimageio import codec_threads
+
+            opened.enter_context(codec_threads(reading=1, writing=n_threads))
         log.info(
             "%d layers on canvas %s, %s, order %s",
             len(specs),
@@ -424,7 +426,7 @@ class Budget:
     ) -> Budget:
         """An estimate from above; the tests hold it against real peaks."""
         readers = [layer.reader for layer in layers]
-        if rules.reduction is Reduction.ALL_LAYERS:
+        if rules.reduction is Reduction.ALL_LAYERS or len(readers) <= LAYERS_AT_ONCE:
             # Strips that are being finished still hold their layers.
             held = sum(reader.bytes_per_row for reader in readers) * (1 + writes_behind(threads))
         else:

@@ -33,6 +33,13 @@ SIGNATURE = b"\x89PNG\r\n\x1a\n"
 
 #: Chunks whose content is kept; the others are only verified.
 _KEPT = {b"IHDR", b"tRNS", b"gAMA", b"cHRM", b"sRGB", b"iCCP", b"cICP", b"pHYs"}
+#: Those that must be understood.
+_CRITICAL = {b"IHDR", b"PLTE", b"IDAT", b"IEND"}
+_LARGEST = 2**31 - 1
+#: The depths of each colour type: grey, RGB, palette, grey and alpha, RGBA.
+_DEPTHS = {0: (1, 2, 4, 8, 16), 2: (8, 16), 3: (1, 2, 4, 8), 4: (8, 16), 6: (8, 16)}
+#: What a byte of deflated data can unpack to: deflate makes at most 1032 of one.
+_MOST_BITS_OF_A_BYTE = 8 * 1032
 _PIECE_BYTES = 1 << 20
 #: No display profile is larger; a hostile one is not unpacked beyond it.
 _PROFILE_BYTES = 1 << 24
@@ -55,11 +62,14 @@ _CICP_TRANSFER: dict[int, Transfer] = {
 
 @dataclass(frozen=True)
 class PngHeader:
-    """What the chunks around the pixels say."""
+    """What the chunks around the pixels say. `image_data`: offset and size of each IDAT."""
 
     width: int
     height: int
+    depth: int
+    color_type: int
     interlaced: bool
+    image_data: tuple[tuple[int, int], ...] = field(repr=False)
     chunks: dict[bytes, bytes] = field(repr=False)
 
     @property
@@ -163,27 +173,41 @@ def read_header(path: str) -> PngHeader:
     Errors: `InputError` (without the file's name) that says which chunk is damaged or missing.
     """
     kept: dict[bytes, bytes] = {}
-    kinds = set()
+    image_data = []
     with open(path, "rb") as file:
         if file.read(8) != SIGNATURE:
             raise InputError("not a PNG file: its signature is damaged")
-        for kind, data in _chunks(file):
-            kinds.add(kind)
+        for kind, data, offset, size in _chunks(file):
+            if kind == b"IDAT":
+                image_data.append((offset, size))
+            elif kind[:1].isupper() and kind not in _CRITICAL:
+                raise InputError(f"{_shown(kind)} must be understood and is not")
             if kind in _KEPT and kind not in kept:
                 kept[kind] = data
-    if len(kept.get(b"IHDR", b"")) != 13 or b"IDAT" not in kinds:
+    if len(kept.get(b"IHDR", b"")) != 13 or not image_data:
         raise InputError("damaged PNG: it has no image data")
-    width, height = struct.unpack(">II", kept[b"IHDR"][:8])
-    return PngHeader(width, height, kept[b"IHDR"][12] == 1, kept)
+    width, height, depth, color_type, deflate, filters, interlace = struct.unpack(
+        ">IIBBBBB", kept[b"IHDR"]
+    )
+    if not (1 <= width <= _LARGEST and 1 <= height <= _LARGEST):
+        raise InputError(f"damaged PNG: it has {width}x{height} pixels")
+    if depth not in _DEPTHS.get(color_type, ()) or (deflate, filters) != (0, 0) or interlace > 1:
+        raise InputError("damaged PNG: its header describes no kind of PNG that there is")
+    # With several channels it would be more yet.
+    if width * height * depth > _MOST_BITS_OF_A_BYTE * sum(size for _, size in image_data):
+        raise InputError(f"damaged PNG: its image data are too few for {width}x{height} pixels")
+    return PngHeader(width, height, depth, color_type, interlace == 1, tuple(image_data), kept)
 
 
-def _chunks(file: BinaryIO) -> Iterator[tuple[bytes, bytes]]:
-    kind = b""
+def _chunks(file: BinaryIO) -> Iterator[tuple[bytes, bytes, int, int]]:
+    """Kind, data where they are kept, and offset and size of the data."""
+    kind, at = b"", len(SIGNATURE)
     while kind != b"IEND":
         head = file.read(8)
         if len(head) < 8:
             raise InputError("truncated PNG: it ends before its IEND chunk")
-        left, kind = struct.unpack(">I4s", head)
+        size, kind = struct.unpack(">I4s", head)
+        left = size
         checksum = zlib.crc32(kind)
         data = b""
         while left:
@@ -196,7 +220,8 @@ def _chunks(file: BinaryIO) -> Iterator[tuple[bytes, bytes]]:
                 data += piece
         if file.read(4) != struct.pack(">I", checksum):
             raise InputError(f"damaged PNG: the checksum of {_shown(kind)} is wrong")
-        yield kind, data
+        yield kind, data, at + 8, size
+        at += 12 + size
 
 
 def _shown(kind: bytes) -> str:

@@ -1,4 +1,4 @@
-"""Image files in and out, strip by strip. The only importer of OpenImageIO.
+"""Image files in and out, strip by strip. `openimageio` is the only importer of OpenImageIO.
 
 Reading gives samples as stored and what they mean; writing takes samples of the output's type.
 Where a layer lies on the canvas, and what is done with it, is not known here.
@@ -14,7 +14,6 @@ from .description import (
     describe,
     seekable,
 )
-from .door import codec_threads
 from .reading import NONFINITE_POLICIES, STRIP_ROWS, LayerImage, LayerReader
 from .writing import ImageWriter, OutputForm, format_of_output, open_writer
 
@@ -31,7 +30,6 @@ __all__ = [
     "OutputForm",
     "Part",
     "choose",
-    "codec_threads",
     "describe",
     "format_of_output",
     "open_writer",

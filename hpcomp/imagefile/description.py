@@ -8,7 +8,7 @@ import select
 import stat
 import sys
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import IO, Any
 
 from .. import pngheader
@@ -21,7 +21,10 @@ from ..encoding import (
 )
 from ..errors import InputError, why
 from ..geometry import Window
-from .door import error_text, open_input
+from . import exrscanlines, pngscanlines
+from .exrscanlines import ExrLayout
+from .pngscanlines import PngLayout
+from .rawfile import Identity, identity_of
 
 STDIN = "-"
 METRES_PER_INCH = 0.0254
@@ -50,7 +53,7 @@ class ColorGroup:
 
 @dataclass(frozen=True)
 class Part:
-    """One picture of a file, and how it will be read."""
+    """One picture of a file, and how it will be read; with a `layout`, without OpenImageIO."""
 
     index: int
     name: str
@@ -68,6 +71,7 @@ class Part:
     encoding: ColorEncoding
     encoding_source: str
     problems: tuple[str, ...]
+    layout: ExrLayout | PngLayout | None = field(repr=False)
 
 
 @dataclass(frozen=True)
@@ -77,6 +81,7 @@ class ImageFile:
     path: str
     format: str
     parts: tuple[Part, ...]
+    identity: Identity = field(repr=False)
 
     @property
     def alpha_mode(self) -> str:
@@ -146,22 +151,48 @@ def describe(path: str, label: str | None = None) -> ImageFile:
     """
     label = label or path
     kind = _format_of(path, label)
-    header = None
-    if kind == "png":
-        try:
-            header = pngheader.read_header(path)
-        except InputError as problem:
-            raise InputError(f"{label}: {problem}") from None
-    reader = open_input(path, label)
+    identity = identity_of(path)
+    parts = _png_parts(path, label) if kind == "png" else _exr_parts(path, label)
+    return ImageFile(path, kind, tuple(parts), identity)
+
+
+def _png_parts(path: str, label: str) -> Iterator[Part]:
     try:
-        parts: list[Part] = []
-        while reader.seek_subimage(len(parts), 0):
-            spec = reader.spec()
-            parts.append(_png_part(spec, header) if header else _exr_part(spec, len(parts)))
+        header = pngheader.read_header(path)
+    except InputError as problem:
+        raise InputError(f"{label}: {problem}") from None
+    layout = pngscanlines.layout_of(header)
+    if layout is None:
+        for spec in _specs(path, label):
+            yield _png_part(header, None, _channels(spec), _window(spec))
+    else:
+        names = "YA" if layout.channels < 3 else "RGBA"
+        channels = tuple(
+            Channel(name, f"uint{header.depth}", number)
+            for number, name in enumerate(names[: layout.channels])
+        )
+        yield _png_part(header, layout, channels, Window(0, 0, header.width, header.height))
+
+
+def _exr_parts(path: str, label: str) -> Iterator[Part]:
+    layout = exrscanlines.layout_of(path)
+    for number, spec in enumerate(_specs(path, label)):
+        yield _exr_part(spec, number, layout)
+
+
+def _specs(path: str, label: str) -> Iterator[Any]:
+    """OpenImageIO's description of each picture in the file."""
+    from .openimageio import error_text, open_input
+
+    reader = open_input(path, label)
+    number = 0
+    try:
+        while reader.seek_subimage(number, 0):
+            yield reader.spec()
+            number += 1
         error_text(reader)  # the seek beyond the last part is no error
     finally:
         reader.close()
-    return ImageFile(path, kind, tuple(parts))
 
 
 def _format_of(path: str, label: str) -> str:
@@ -188,49 +219,58 @@ def _window(spec: Any, full: bool = False) -> Window:
     return Window(spec.x, spec.y, spec.width, spec.height)
 
 
-def _part(spec: Any, index: int, **found: Any) -> Part:
+def _channels(spec: Any) -> tuple[Channel, ...]:
     types = spec.channelformats or [spec.format] * spec.nchannels
-    channels = tuple(
+    return tuple(
         Channel(name, str(kind), number)
         for number, (name, kind) in enumerate(zip(spec.channelnames, types, strict=True))
     )
+
+
+def _png_part(
+    header: pngheader.PngHeader,
+    layout: PngLayout | None,
+    channels: tuple[Channel, ...],
+    window: Window,
+) -> Part:
+    encoding, source, problems = header.color()
     return Part(
-        index=index,
-        name=spec.get_string_attribute("oiio:subimagename") or spec.get_string_attribute("name"),
+        index=0,
+        name="",
         channels=channels,
         groups=_color_groups(channels),
-        data_window=_window(spec),
-        display_window=_window(spec, full=True),
-        tile=(spec.tile_width, spec.tile_height) if spec.tile_width else None,
-        compression=spec.get_string_attribute("compression"),
-        deep=bool(spec.deep),
-        **found,
-    )
-
-
-def _png_part(spec: Any, header: pngheader.PngHeader) -> Part:
-    encoding, source, problems = header.color()
-    return _part(
-        spec,
-        0,
+        data_window=window,
+        display_window=window,
+        tile=None,
         rows_per_block=header.height if header.interlaced else 1,
+        compression="",
+        deep=False,
         interlaced=header.interlaced,
         pixel_aspect=header.pixel_aspect,
         pixels_per_metre=header.pixels_per_metre,
         encoding=encoding,
         encoding_source=source,
         problems=tuple(f"{problem} is not honoured" for problem in problems),
+        layout=layout,
     )
 
 
-def _exr_part(spec: Any, index: int) -> Part:
+def _exr_part(spec: Any, index: int, layout: ExrLayout | None) -> Part:
     encoding, source, problems = _exr_encoding(spec)
     density = spec.get_float_attribute("XResolution"), spec.get_float_attribute("YResolution")
     rows = spec.tile_height or spec.get_int_attribute("oiio:RowsPerChunk", 1)
-    return _part(
-        spec,
-        index,
+    channels, window = _channels(spec), _window(spec)
+    return Part(
+        index=index,
+        name=spec.get_string_attribute("oiio:subimagename") or spec.get_string_attribute("name"),
+        channels=channels,
+        groups=_color_groups(channels),
+        data_window=window,
+        display_window=_window(spec, full=True),
+        tile=(spec.tile_width, spec.tile_height) if spec.tile_width else None,
         rows_per_block=max(1, rows),
+        compression=spec.get_string_attribute("compression"),
+        deep=bool(spec.deep),
         interlaced=False,
         pixel_aspect=spec.get_float_attribute("PixelAspectRatio", 1.0),
         pixels_per_metre=(density[0] / METRES_PER_INCH, density[1] / METRES_PER_INCH)
@@ -239,6 +279,7 @@ def _exr_part(spec: Any, index: int) -> Part:
         encoding=encoding,
         encoding_source=source,
         problems=tuple(problems),
+        layout=layout if layout and layout.window == window else None,
     )
 
 

@@ -3,27 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-import OpenImageIO as oiio
 
 from ..encoding import color_space
-from ..errors import InputError, MismatchError, unknown_name
+from ..errors import MismatchError, unknown_name
 from ..geometry import Window
 from ..samples import Decoding, Rgba, Samples, Strip, linear_rgba
-from .description import Channel, ColorGroup, ImageFile, Part
-from .door import error_text, open_input
+from .description import ColorGroup, ImageFile, Part
+from .source import source_of
 
 NONFINITE_POLICIES = ("error", "zero", "keep")
 
 #: Rows that are read at a time where the caller does not say: whole compression blocks, few calls.
 STRIP_ROWS = 64
-
-#: Of the sample types that files store.
-_SAMPLE_BYTES = {"uint8": 1, "uint16": 2, "half": 2, "float": 4, "uint": 4}
-#: Headers, offset tables and buffers of an open file.
-_OPEN_FILE_BYTES = 1 << 17
 
 
 class LayerReader:
@@ -58,14 +51,8 @@ class LayerReader:
             stored_straight=file.alpha_mode == "straight",
             zero_nonfinite=nonfinite == "zero",
         )
-        # Colour and alpha that stand together in one type are read at once, halves as they are.
-        self._channels = (*group.color, *([group.alpha] if group.alpha else []))
-        types = {channel.type for channel in self._channels}
-        self._type = types.pop() if len(types) == 1 else "mixed"
-        self._together = self._type not in ("mixed", "uint") and [
-            channel.index for channel in self._channels
-        ] == list(range(self._channels[0].index, self._channels[-1].index + 1))
-        self._reader: Any = None
+        channels = (*group.color, *([group.alpha] if group.alpha else []))
+        self._source = source_of(file, part, channels, self.label)
 
     @property
     def window(self) -> Window:
@@ -75,6 +62,11 @@ class LayerReader:
     @property
     def has_alpha(self) -> bool:
         return self.group.alpha is not None or self.decoding.alpha_mode == "luminance"
+
+    @property
+    def by_openimageio(self) -> bool:
+        """Whether OpenImageIO reads it."""
+        return self._source.by_openimageio
 
     @property
     def is_plain(self) -> bool:
@@ -89,33 +81,21 @@ class LayerReader:
 
     @property
     def bytes_per_row(self) -> int:
-        """Memory of one row as it is read: its samples, and a copy where they must be gathered."""
-        sample = _SAMPLE_BYTES.get(self._type, 4)
-        copies = 1 if self._together and self.part.tile is None else 3
-        return self.window.width * len(self._channels) * sample * copies
+        """Memory of one row as it is read."""
+        return self._source.bytes_per_row
 
     @property
     def bytes_to_decode(self) -> int:
-        """Memory of the codec while it decodes: one block of every channel, packed and unpacked."""
-        block = self.part.rows_per_block * self._bytes_per_stored_row
-        if self.part.interlaced:
-            return 0
-        return 3 * block if self.part.tile is None else 3 * block + 4 * block
+        """Memory of the codec while it decodes."""
+        return self._source.bytes_to_decode
 
     @property
     def bytes_held(self) -> int:
-        """Memory of the codec as long as the file is open: a block, or all of an interlaced PNG."""
-        block = self.part.rows_per_block * self._bytes_per_stored_row
-        return _OPEN_FILE_BYTES + block + block // 16
-
-    @property
-    def _bytes_per_stored_row(self) -> int:
-        return self.window.width * sum(_SAMPLE_BYTES.get(c.type, 4) for c in self.part.channels)
+        """Memory of the codec as long as the file is open."""
+        return self._source.bytes_held
 
     def close(self) -> None:
-        if self._reader is not None:
-            self._reader.close()
-            self._reader = None
+        self._source.close()
 
     def read_samples(self, begin: int, end: int) -> Samples:
         """Rows `begin` to `end` of the data window as stored, in the file's coordinates.
@@ -123,13 +103,7 @@ class LayerReader:
         Returns (rows, width, channels): Y, YA, RGB or RGBA; uint8 and uint16 of PNG, float16 and
         float32 of EXR, its uint channels as floats of the same value. Errors: `InputError`.
         """
-        first, last = self._channels[0], self._channels[-1]
-        if self._together:
-            return self._read(first, last.index + 1, begin, end)
-        planes = [self._read(c, c.index + 1, begin, end) for c in self._channels]
-        if len({plane.dtype for plane in planes}) > 1:
-            planes = [plane.astype(np.float32) for plane in planes]
-        return np.concatenate(planes, axis=2)
+        return self._source.read(begin, end)
 
     def read_rows(self, begin: int, end: int) -> Rgba:
         """The same rows as linear, premultiplied RGBA (rows, width, 4).
@@ -161,39 +135,6 @@ class LayerReader:
             f"{self.label}: {pixels} NaN or infinite, the first at {first}: "
             "--nonfinite zero or keep lets them pass"
         )
-
-    def _read(self, first: Channel, stop: int, begin: int, end: int) -> Samples:
-        if self._reader is None:
-            self._reader = open_input(self.file.path, self.label)
-        reader, index = self._reader, self.part.index
-        # A uint32 read as a float would be divided by the largest uint32.
-        if self.part.tile is None:
-            pixels = reader.read_scanlines(
-                index, 0, begin, end, 0, first.index, stop, oiio.TypeDesc(first.type)
-            )
-        else:
-            pixels = self._tile_rows(first.index, stop, begin, end, first.type)
-        if pixels is None:
-            raise InputError(
-                f"{self.label}: cannot be read, rows {begin} to {end - 1}: {error_text(reader)}"
-            )
-        pixels = pixels.reshape(end - begin, self.window.width, stop - first.index)
-        return pixels.astype(np.float32) if first.type == "uint" else pixels
-
-    def _tile_rows(self, first: int, stop: int, begin: int, end: int, wanted: str) -> Any:
-        """Whole tiles around the rows, cut down to them; None where they do not decode."""
-        assert self.part.tile is not None
-        window, height = self.window, self.part.tile[1]
-        top = window.y + (begin - window.y) // height * height
-        bottom = min(window.bottom, window.y - (window.y - end) // height * height)
-        tiles = self._reader.read_tiles(
-            self.part.index, 0, window.x, window.right, top, bottom, 0, 1, first, stop,
-            oiio.TypeDesc(wanted),
-        )  # fmt: skip
-        if tiles is None:
-            return None
-        tiles = tiles.reshape(bottom - top, window.width, stop - first)
-        return np.ascontiguousarray(tiles[begin - top : end - top])
 
 
 @dataclass(frozen=True)

@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 from dataclasses import dataclass
 from typing import Any, Protocol
 
-import OpenImageIO as oiio
-
-from ..encoding import REC709
-from ..errors import OutputError, SettingError, unknown_name
+from ..errors import SettingError, unknown_name
 from ..geometry import Window
 from ..samples import Samples
-from . import pngwriter
+from . import exrscanlines, pngwriter
 from .description import METRES_PER_INCH, STDIN
-from .door import error_text
+from .exrscanlines import ExrForm
 
 EXR_COMPRESSIONS = (
     "zip", "none", "rle", "zips", "piz", "pxr24", "b44", "b44a", "dwaa", "dwab",
@@ -64,6 +60,11 @@ class OutputForm:
     def kind(self) -> str:
         """The type of its samples, one of `samples.OUTPUT_TYPES`."""
         return {"8": "uint8", "16": "uint16"}.get(self.depth, self.depth)
+
+    @property
+    def by_openimageio(self) -> bool:
+        """Whether OpenImageIO writes it."""
+        return self.format == "exr" and self.compression not in exrscanlines.COMPRESSIONS
 
     @property
     def bytes_per_pixel(self) -> int:
@@ -139,58 +140,16 @@ def open_writer(
             pixels_per_metre=pixels_per_metre,
             label=label or path,
         )
-    spec = oiio.ImageSpec(data_window.width, data_window.height, 4, oiio.TypeDesc(form.depth))
-    spec.x, spec.y = data_window.x, data_window.y
-    spec.full_x, spec.full_y = display_window.x, display_window.y
-    spec.full_width, spec.full_height = display_window.width, display_window.height
-    spec.attribute("compression", form.compression)
-    spec.attribute("chromaticities", oiio.TypeDesc("float[8]"), tuple(REC709.xy.ravel()))
-    spec.attribute("colorInteropID", "lin_rec709_scene")
-    spec.attribute("PixelAspectRatio", float(pixel_aspect))
-    if pixels_per_metre is not None:
-        spec.attribute("ResolutionUnit", "in")
-        spec.attribute("XResolution", pixels_per_metre[0] * METRES_PER_INCH)
-        spec.attribute("YResolution", pixels_per_metre[1] * METRES_PER_INCH)
-    # An empty date keeps the clock out of the file.
-    spec.attribute("DateTime", "")
-    return ExrWriter(path, spec, label or path)
+    exr = ExrForm(
+        form.depth,
+        form.compression,
+        data_window,
+        display_window,
+        pixel_aspect,
+        pixels_per_metre and pixels_per_metre[0] * METRES_PER_INCH,
+    )
+    if form.by_openimageio:
+        from .openimageio import OpenImageIOExrWriter
 
-
-class ExrWriter:
-    """Writes one EXR part; see `ImageWriter`."""
-
-    def __init__(self, path: str, spec: oiio.ImageSpec, label: str) -> None:
-        self._path, self._spec, self._label = path, spec, label
-        output = oiio.ImageOutput.create("openexr")
-        assert output is not None  # the format is part of OpenImageIO itself
-        self._output = output
-        if not self._output.open(path, spec):
-            raise self._error()
-
-    def prepare(self, begin: int, samples: Samples) -> tuple[int, Samples]:
-        return self._spec.y + begin, samples
-
-    def write(self, prepared: tuple[int, Samples]) -> None:
-        row, samples = prepared
-        if not self._output.write_scanlines(row, row + len(samples), 0, samples):
-            raise self._error()
-
-    def finish(self) -> None:
-        if not self._output.close() or not self._is_whole():
-            raise self._error()
-
-    def _is_whole(self) -> bool:
-        """Whether the last rows are there: closing does not notice that a disk is full."""
-        written = oiio.ImageInput.open(self._path)
-        if written is None:
-            return False
-        last = self._spec.y + self._spec.height - 1
-        return written.read_scanlines(0, 0, last, last + 1, 0, 0, 4, "half") is not None
-
-    def abandon(self) -> None:
-        with contextlib.suppress(Exception):
-            self._output.close()
-
-    def _error(self) -> OutputError:
-        reason = error_text(self._output, "it is incomplete").replace(self._path, self._label)
-        return OutputError(f"{self._label}: cannot be written, is the disk full? {reason}")
+        return OpenImageIOExrWriter(path, exr, label or path)
+    return exrscanlines.ExrScanlineWriter(path, exr, label or path)

@@ -1,0 +1,100 @@
+"""Samples to the bytes that codecs deflate, and back, by the kernel's loops.
+
+Where the kernel was not built, numpy packs, to the same bytes, and OpenImageIO reads.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..samples import Samples
+
+try:
+    from ..kernel import _kernel  # type: ignore[attr-defined]
+except ImportError:
+    _kernel = None
+
+Bytes = NDArray[np.uint8]
+
+#: Whether files can be unpacked here; both formats' loops are for the byte order of most machines.
+UNPACKS = _kernel is not None and sys.byteorder == "little"
+
+_SUB, _UP = 1, 2
+#: EXR's differences of bytes are stored with this added.
+_EXR_BIAS = 128
+
+
+def exr_unpacked(
+    block: bytes,
+    packed: bool,
+    row_bytes: int,
+    channel_bytes: Sequence[int],
+    first_row: int,
+    out: Samples,
+) -> None:
+    """Rows of a block of an EXR, from `first_row` on, as interleaved samples in `out`.
+
+    `block`: whole rows of `row_bytes`, planes of the file's channels in each; `packed` as ZIP has
+    them, else plain. `channel_bytes`: where in a row each channel of `out` begins; multiples of 2.
+    `out`: (rows, width, channels) float16 or float32. Only where `UNPACKS`.
+    """
+    data = np.frombuffer(block, np.uint8)
+    _kernel.exr_unpack(
+        data, packed, row_bytes // 2, [begin // 2 for begin in channel_bytes], first_row, out
+    )
+
+
+def exr_plain(samples: Samples) -> bytes:
+    """RGBA (rows, width, 4) as rows of planes A, B, G, R, as EXR stores them uncompressed."""
+    planes = np.moveaxis(samples[..., ::-1], 2, 1)
+    return planes.astype(planes.dtype.newbyteorder("<")).tobytes()
+
+
+def exr_packed(samples: Samples) -> Bytes:
+    """RGBA (rows, width, 4) as what EXR's ZIP deflates: planes A, B, G, R, differences of bytes."""
+    if UNPACKS:
+        packed = np.empty(samples.nbytes, np.uint8)
+        _kernel.exr_pack(np.ascontiguousarray(samples), packed)
+        return packed
+    plain = np.frombuffer(exr_plain(samples), np.uint8)
+    split = np.concatenate([plain[::2], plain[1::2]])
+    packed = split.copy()
+    packed[1:] -= split[:-1]
+    packed[1:] += _EXR_BIAS
+    return packed
+
+
+def png_unfiltered(filtered: Bytes, pixel_bytes: int, above: Bytes, out: Bytes) -> None:
+    """Rows of a PNG (rows, bytes) from filtered ones (rows, 1 + bytes), each behind its filter.
+
+    `above`: the row before the first, zeros for none. Errors: `ValueError` for an unknown filter.
+    Only where `UNPACKS`.
+    """
+    _kernel.png_unfilter(filtered, pixel_bytes, above, out)
+
+
+def png_filtered(rows: Bytes, pixel_bytes: int) -> Bytes:
+    """Rows (rows, bytes) as differences to the left or to above, for each the smaller in sum.
+
+    The first row has nothing above it. Returns (rows, 1 + bytes), the filter's number first.
+    """
+    filtered = np.empty((rows.shape[0], rows.shape[1] + 1), np.uint8)
+    if _kernel is not None:
+        _kernel.png_filter(np.ascontiguousarray(rows), pixel_bytes, filtered)
+        return filtered
+    of_left = rows.copy()
+    of_left[:, pixel_bytes:] -= rows[:, :-pixel_bytes]
+    filtered[:, 0], filtered[:, 1:] = _SUB, of_left
+    of_above = rows[1:] - rows[:-1]
+    above = size_of_differences(of_above) <= size_of_differences(of_left[1:])
+    filtered[1:, 0][above], filtered[1:, 1:][above] = _UP, of_above[above]
+    return filtered
+
+
+def size_of_differences(differences: Bytes) -> NDArray[np.int64]:
+    """The sum of |difference| of each row (rows, bytes), differences taken as signed bytes."""
+    return np.minimum(differences, -differences).sum(axis=1, dtype=np.int64)

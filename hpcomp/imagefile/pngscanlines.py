@@ -1,0 +1,133 @@
+"""Plain PNG files, read without a library: 8 or 16 bits, no palette, not interlaced.
+
+`layout_of` says which files are of this kind; all others are OpenImageIO's.
+W3C, Portable Network Graphics (PNG) Specification, third edition.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..errors import InputError
+from ..pngheader import PngHeader
+from ..samples import Samples
+from .deflate import InflateError, InflateStream
+from .packing import UNPACKS, png_unfiltered
+from .rawfile import RawFile
+
+#: Channels of the colour types that are read here: grey, RGB, grey and alpha, RGBA.
+_CHANNELS = {0: 1, 2: 3, 4: 2, 6: 4}
+#: Of the deflated data that are read at a time.
+_PIECE_BYTES = 1 << 16
+#: Of filtered rows that are inflated at a time, so that they are unfiltered in cache.
+_FILTERED_BYTES = 1 << 18
+#: The state of an inflating stream and its window.
+_INFLATE_BYTES = 1 << 17
+
+
+@dataclass(frozen=True)
+class PngLayout:
+    """Where the rows of a plain PNG lie, and how. `pieces`: offset and size of its image data."""
+
+    width: int
+    height: int
+    channels: int
+    depth: int
+    pieces: tuple[tuple[int, int], ...]
+
+    @property
+    def pixel_bytes(self) -> int:
+        return self.channels * self.depth // 8
+
+
+def layout_of(header: PngHeader) -> PngLayout | None:
+    """The layout of a plain PNG that can be read here; None for any other."""
+    plain = header.depth in (8, 16) and header.color_type in _CHANNELS and not header.interlaced
+    if not UNPACKS or not plain or b"tRNS" in header.chunks:
+        return None
+    return PngLayout(
+        header.width,
+        header.height,
+        _CHANNELS[header.color_type],
+        header.depth,
+        header.image_data,
+    )
+
+
+class PngScanlines:
+    """A plain PNG, read by rows from top to bottom; going back begins anew. See `source.Source`."""
+
+    by_openimageio = False
+
+    def __init__(self, file: RawFile, layout: PngLayout, label: str) -> None:
+        self._file, self._layout, self._label = file, layout, label
+        self.bytes_per_row = layout.width * layout.pixel_bytes * (1 if layout.depth == 8 else 2)
+        self.bytes_to_decode = 3 * max(_FILTERED_BYTES, self.bytes_per_row) + 2 * _PIECE_BYTES
+        self.bytes_held = _INFLATE_BYTES + self.bytes_per_row + 128 * len(layout.pieces)
+        self._begin()
+
+    def close(self) -> None:
+        self._file.close()
+
+    def _begin(self) -> None:
+        self._row = 0
+        self._stream = InflateStream()
+        self._pieces = self._deflated_pieces()
+        self._above = np.zeros(self._layout.width * self._layout.pixel_bytes, np.uint8)
+
+    def read(self, begin: int, end: int) -> Samples:
+        """Rows `begin` to `end`, uint8 or uint16. Errors: `InputError`."""
+        layout = self._layout
+        if begin < self._row:
+            self._begin()
+        if begin > self._row:
+            at_once = self._rows_at_once()
+            for row in range(self._row, begin, at_once):
+                self._next_rows(min(at_once, begin - row))
+        rows = self._next_rows(end - begin)
+        if layout.depth == 16:
+            rows = rows.view(">u2").astype(np.uint16)
+        return rows.reshape(end - begin, layout.width, layout.channels)
+
+    def _rows_at_once(self) -> int:
+        return max(1, _FILTERED_BYTES // (len(self._above) + 1))
+
+    def _next_rows(self, count: int) -> Samples:
+        """The bytes of the next rows (count, bytes of a row)."""
+        rows = np.empty((count, len(self._above)), np.uint8)
+        at_once = self._rows_at_once()
+        for begin in range(0, count, at_once):
+            part = rows[begin : begin + at_once]
+            filtered = np.empty((len(part), part.shape[1] + 1), np.uint8)
+            try:
+                self._inflate(filtered.data.cast("B"))
+                png_unfiltered(filtered, self._layout.pixel_bytes, self._above, part)
+            except (InflateError, ValueError) as reason:
+                raise self._damage(str(reason)) from None
+            self._above = part[-1].copy()
+            self._row += len(part)
+        return rows
+
+    def _inflate(self, out: memoryview) -> None:
+        """Fills `out` with the next bytes of the filtered rows."""
+        filled = 0
+        while filled < len(out):
+            content = self._stream.take(len(out) - filled)
+            out[filled : filled + len(content)] = content
+            filled += len(content)
+            if not content:
+                piece = b"" if self._stream.ended else next(self._pieces, b"")
+                if not piece:
+                    raise self._damage("its image data end too early")
+                self._stream.feed(piece)
+
+    def _deflated_pieces(self) -> Iterator[bytes]:
+        for offset, size in self._layout.pieces:
+            for begin in range(0, size, _PIECE_BYTES):  # an empty chunk gives none
+                yield self._file.bytes_at(offset + begin, min(_PIECE_BYTES, size - begin))
+
+    def _damage(self, what: str) -> InputError:
+        return InputError(f"{self._label}: cannot be read, rows from {self._row} on: {what}")

@@ -1,0 +1,54 @@
+"""The bytes of a file that has been described before, and is still the same."""
+
+from __future__ import annotations
+
+import os
+
+from ..errors import InputError, why
+
+#: Beyond this no file reaches, and reading there would be refused in other words.
+_FARTHEST = 1 << 62
+
+Identity = tuple[int, int, int, int]
+
+
+def identity_of(path: str) -> Identity:
+    """What changes when another file takes its place, or when it is written to."""
+    return _identity(os.stat(path))
+
+
+def _identity(found: os.stat_result) -> Identity:
+    return found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns
+
+
+class RawFile:
+    """A file, opened when it is first read, then read at any offset; `label` names it in errors.
+
+    Errors: `InputError`, also where it is no longer the one of that identity.
+    """
+
+    def __init__(self, path: str, identity: Identity, label: str) -> None:
+        self._path, self._identity, self._label = path, identity, label
+        self._descriptor: int | None = None
+
+    def close(self) -> None:
+        if self._descriptor is not None:
+            os.close(self._descriptor)
+            self._descriptor = None
+
+    def bytes_at(self, offset: int, size: int) -> bytes:
+        """`size` bytes from `offset` on; where the file ends before, an error says so."""
+        try:
+            data = os.pread(self._opened(), size, offset) if offset < _FARTHEST else b""
+        except OSError as reason:
+            raise InputError(f"{self._label}: cannot be read: {why(reason)}") from None
+        if len(data) != size:
+            raise InputError(f"{self._label}: cannot be read: it ends before byte {offset + size}")
+        return data
+
+    def _opened(self) -> int:
+        if self._descriptor is None:
+            self._descriptor = os.open(self._path, os.O_RDONLY)
+            if _identity(os.fstat(self._descriptor)) != self._identity:
+                raise InputError(f"{self._label}: it was changed while it was read: try again")
+        return self._descriptor

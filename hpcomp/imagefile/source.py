@@ -1,0 +1,47 @@
+"""Where the samples of a layer come from: a plain file is read here, any other by OpenImageIO."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Protocol
+
+from ..samples import Samples
+from .description import Channel, ImageFile, Part
+from .exrscanlines import ExrLayout, ExrScanlines
+from .pngscanlines import PngLayout, PngScanlines
+from .rawfile import RawFile
+
+
+class Source(Protocol):
+    """Some channels of one picture, read by rows; opened when it is first read.
+
+    Memory in bytes: of a row as it is read, of the codec while it decodes, and while it is open.
+    """
+
+    by_openimageio: bool
+    bytes_per_row: int
+    bytes_to_decode: int
+    bytes_held: int
+
+    def read(self, begin: int, end: int) -> Samples:
+        """Rows `begin` to `end` in the file's coordinates: (rows, width, channels), as stored.
+
+        uint8 and uint16 of PNG, float16 and float32 of EXR, its uint channels as floats of the same
+        value. Errors: `InputError`.
+        """
+
+    def close(self) -> None:
+        """Gives back what is open."""
+
+
+def source_of(file: ImageFile, part: Part, channels: Sequence[Channel], label: str) -> Source:
+    """The source of those channels; `label` names it in errors."""
+    raw = RawFile(file.path, file.identity, label)
+    kinds = {channel.name: channel.type for channel in channels}
+    if isinstance(part.layout, ExrLayout) and part.layout.has(kinds):
+        return ExrScanlines(raw, part.layout, list(kinds), label)
+    if isinstance(part.layout, PngLayout) and part.layout.channels == len(channels):
+        return PngScanlines(raw, part.layout, label)
+    from .openimageio import OpenImageIOSource
+
+    return OpenImageIOSource(file.path, part, channels, label)
