@@ -1,0 +1,161 @@
+// Stored samples to planes: linear and premultiplied, then as terms of a stack.
+
+#pragma once
+
+#include "floats.h"
+
+namespace hpcomp {
+namespace {
+
+constexpr int kCacheLine = 64;
+// Pixels that are unpacked between two looks ahead: memory is asked for while it is computed on.
+constexpr int kAhead = 64;
+
+struct Codes8 {
+    using Stored = uint8_t;
+    const float *decode;
+    HPCOMP_INLINE float color(const Codes8 &c, uint8_t v) { return c.decode[v]; }
+    HPCOMP_INLINE float alpha(const Codes8 &, uint8_t v) { return float(v) / 255.0f; }
+};
+struct Codes16 {
+    using Stored = uint16_t;
+    const float *decode;
+    HPCOMP_INLINE float color(const Codes16 &c, uint16_t v) { return c.decode[v]; }
+    HPCOMP_INLINE float alpha(const Codes16 &, uint16_t v) { return float(v) / 65535.0f; }
+};
+struct Halves {
+    using Stored = uint16_t;
+    const float *decode;
+    HPCOMP_INLINE float color(const Halves &, uint16_t v) { return from_half(v); }
+    HPCOMP_INLINE float alpha(const Halves &, uint16_t v) { return from_half(v); }
+};
+struct Floats {
+    using Stored = float;
+    const float *decode;
+    HPCOMP_INLINE float color(const Floats &, float v) { return v; }
+    HPCOMP_INLINE float alpha(const Floats &, float v) { return v; }
+};
+
+template <class Kind, int Channels>
+HPCOMP_INLINE void unpack(const Kind kind, const typename Kind::Stored *stored, int n, float *red,
+                          float *green, float *blue, float *alpha) {
+    constexpr bool is_grey = Channels <= 2;
+    constexpr int kPixelBytes = Channels * int(sizeof(typename Kind::Stored));
+    for (int begin = 0; begin < n; begin += kAhead) {
+        const int stop = n - begin < kAhead ? n : begin + kAhead;
+        // The same run of the next block; processors ignore what lies outside the array.
+        const uintptr_t next = reinterpret_cast<uintptr_t>(stored) + uintptr_t((begin + kBlock) * kPixelBytes);
+        for (int line = 0; line < kAhead * kPixelBytes; line += kCacheLine)
+            __builtin_prefetch(reinterpret_cast<const void *>(next + uintptr_t(line)), 0, 2);
+        for (int i = begin; i < stop; ++i) {
+            const typename Kind::Stored *pixel = stored + i * Channels;
+            red[i] = Kind::color(kind, pixel[0]);
+            green[i] = is_grey ? red[i] : Kind::color(kind, pixel[is_grey ? 0 : 1]);
+            blue[i] = is_grey ? red[i] : Kind::color(kind, pixel[is_grey ? 0 : 2]);
+            alpha[i] = Channels % 2 == 0 ? Kind::alpha(kind, pixel[Channels - 1]) : 1.0f;
+        }
+    }
+}
+
+template <class Kind>
+HPCOMP_INLINE void unpack_any(const Layer &layer, int64_t pixel, const char *row, int n, float *red,
+                              float *green, float *blue, float *alpha) {
+    using Stored = typename Kind::Stored;
+    const Stored *stored = reinterpret_cast<const Stored *>(row) + pixel * layer.channels;
+    const Kind kind{layer.decode};
+    switch (layer.channels) {
+    case 1: unpack<Kind, 1>(kind, stored, n, red, green, blue, alpha); break;
+    case 2: unpack<Kind, 2>(kind, stored, n, red, green, blue, alpha); break;
+    case 3: unpack<Kind, 3>(kind, stored, n, red, green, blue, alpha); break;
+    default: unpack<Kind, 4>(kind, stored, n, red, green, blue, alpha); break;
+    }
+}
+
+// Linear, premultiplied RGBA planes of `n` pixels of row `y` from column `x` of the strip, at the
+// layer's opacity: transparent where it has no pixels. Returns how many are NaN or infinite.
+HPCOMP_INLINE int64_t load(const Layer &layer, int x, int y, int n, float *red, float *green,
+                           float *blue, float *alpha) {
+    const int row = y - layer.top;
+    int first = layer.left - x, stop = layer.left + layer.width - x;
+    first = first < 0 ? 0 : first;
+    stop = stop > n ? n : stop;
+    if (row < 0 || row >= layer.height || first >= stop) first = stop = n;
+    for (int i = 0; i < first; ++i) red[i] = green[i] = blue[i] = alpha[i] = 0;
+    for (int i = stop; i < n; ++i) red[i] = green[i] = blue[i] = alpha[i] = 0;
+    const int there = stop - first;
+    if (there == 0) return 0;
+    red += first, green += first, blue += first, alpha += first;
+
+    const char *samples = static_cast<const char *>(layer.samples) + row * layer.row_bytes;
+    const int64_t pixel = x + first - layer.left;
+    switch (layer.type) {
+    case Sample::kU8: unpack_any<Codes8>(layer, pixel, samples, there, red, green, blue, alpha); break;
+    case Sample::kU16: unpack_any<Codes16>(layer, pixel, samples, there, red, green, blue, alpha); break;
+    case Sample::kHalf: unpack_any<Halves>(layer, pixel, samples, there, red, green, blue, alpha); break;
+    case Sample::kFloat: unpack_any<Floats>(layer, pixel, samples, there, red, green, blue, alpha); break;
+    }
+    int nonfinite = 0;
+    if (layer.type == Sample::kHalf || layer.type == Sample::kFloat) {
+        for (int i = 0; i < there; ++i) {
+            const float nothing = red[i] * 0 + green[i] * 0 + blue[i] * 0 + alpha[i] * 0;
+            nonfinite += nothing != nothing;
+        }
+        if (nonfinite && layer.zero_nonfinite) {
+            for (int i = 0; i < there; ++i) {
+                const float nothing = red[i] * 0 + green[i] * 0 + blue[i] * 0 + alpha[i] * 0;
+                if (nothing != nothing) red[i] = green[i] = blue[i] = alpha[i] = 0;
+            }
+        }
+    }
+    if (layer.has_matrix && layer.channels >= 3) {
+        const float *m = layer.matrix;
+        for (int i = 0; i < there; ++i) {
+            const float r = red[i], g = green[i], b = blue[i];
+            red[i] = m[0] * r + m[1] * g + m[2] * b;
+            green[i] = m[3] * r + m[4] * g + m[5] * b;
+            blue[i] = m[6] * r + m[7] * g + m[8] * b;
+        }
+    }
+    if (layer.channels % 2 == 0) {
+        for (int i = 0; i < there; ++i) alpha[i] = clamped(alpha[i]);
+        if (layer.alpha_straight) {
+            for (int i = 0; i < there; ++i) {
+                red[i] *= alpha[i];
+                green[i] *= alpha[i];
+                blue[i] *= alpha[i];
+            }
+        }
+    }
+    if (layer.opacity != 1) {
+        for (int i = 0; i < there; ++i) {
+            red[i] *= layer.opacity;
+            green[i] *= layer.opacity;
+            blue[i] *= layer.opacity;
+            alpha[i] *= layer.opacity;
+        }
+    }
+    return nonfinite;
+}
+
+// Colours as terms of the stack: luminance and p.
+HPCOMP_INLINE void to_terms(const Rules &rules, int n, const float *red, const float *green,
+                            const float *blue, float *luminance, float *p0, float *p1) {
+    for (int i = 0; i < n; ++i) {
+        const float red_green = red[i] - green[i], blue_green = blue[i] - green[i];
+        luminance[i] = green[i] + rules.weight_red * red_green + rules.weight_blue * blue_green;
+        p0[i] = red_green * rules.to_p[0][0] + blue_green * rules.to_p[0][1];
+        p1[i] = red_green * rules.to_p[1][0] + blue_green * rules.to_p[1][1];
+    }
+}
+
+// A block of a layer as a term: luminance, p and alpha. Returns as `load` does.
+HPCOMP_INLINE int64_t load_term(const Rules &rules, const Layer &layer, int x, int y, int n,
+                                float *luminance, float *p0, float *p1, float *alpha) {
+    Plane red, green, blue;
+    const int64_t nonfinite = load(layer, x, y, n, red, green, blue, alpha);
+    to_terms(rules, n, red, green, blue, luminance, p0, p1);
+    return nonfinite;
+}
+
+}  // namespace
+}  // namespace hpcomp
