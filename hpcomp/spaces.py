@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .errors import unknown_name
+from .hueaxis import HEXAGON, HueAxis
 
 Array = NDArray[np.floating[Any]]
 
@@ -46,6 +47,7 @@ class Space:
 
     `forward`: rgb (3, …), linear, unbounded → Y (…), p (2, …).
     `inverse`: Y (…), p (2, …) → rgb (3, …).
+    `hue_axis`: the number that reports give to a hue.
     Greys have p = 0 exactly, and p = 0 gives a grey exactly.
     """
 
@@ -53,6 +55,7 @@ class Space:
     forward: Callable[[Array], tuple[Array, Array]]
     inverse: Callable[[Array, Array], Array]
     coefficients: PlaneCoefficients
+    hue_axis: HueAxis = HEXAGON
 
 
 def _plane_basis(weights: tuple[float, float, float]) -> NDArray[np.float64]:

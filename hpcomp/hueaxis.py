@@ -1,0 +1,82 @@
+"""Hue as one number on a circle: what histograms bin and pictures show. Knows no pixels, no bins.
+
+An axis is for display and bins alone. What counts as an equal hue is decided by the angle between
+p vectors, in `addition`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.floating[Any]]
+
+#: Degrees in the unit that an axis counts in, a sextant: from one primary to the next secondary.
+SEXTANT_DEG = 60.0
+
+#: The colours that name places on an axis: corners of the RGB cube, linear.
+NAMED_COLORS: dict[str, tuple[float, float, float]] = {
+    "red": (1, 0, 0),
+    "yellow": (1, 1, 0),
+    "green": (0, 1, 0),
+    "cyan": (0, 1, 1),
+    "blue": (0, 0, 1),
+    "magenta": (1, 0, 1),
+}
+
+
+@dataclass(frozen=True)
+class HueAxis:
+    """A hue angle, as two maps between colours and numbers.
+
+    `title` says on plots what the number is. `sextants`: rgb (3, …), linear, none of them grey →
+    (…) in units of 60°, on any turn of the circle. `color`: degrees (…) → rgb (3, …), linear, in
+    [0, 1], the most saturated colour of that hue.
+    """
+
+    title: str
+    sextants: Callable[[Array], Array]
+    color: Callable[[Array], Array]
+
+    def degrees(self, rgb: Array) -> Array:
+        """The hue of rgb (3, …), linear and not grey: (…), in [0, 360)."""
+        found = np.mod(self.sextants(rgb) * SEXTANT_DEG, 360.0)
+        return np.where(found == 360, 0, found)  # what a hair below zero is rounded to
+
+    def landmarks(self) -> dict[str, float]:
+        """Where the named colours stand, in degrees."""
+        return {
+            name: float(self.degrees(np.array(rgb, np.float64)))
+            for name, rgb in NAMED_COLORS.items()
+        }
+
+
+def _hexagon_sextants(rgb: Array) -> Array:
+    # The operations and their order are part of the contract: the kernel has the same ones.
+    red, green, blue = rgb
+    largest = np.maximum(np.maximum(red, green), blue)
+    chroma = largest - np.minimum(np.minimum(red, green), blue)
+    in_red, in_green = largest == red, largest == green
+    step = np.where(in_red, green - blue, np.where(in_green, blue - red, red - green))
+    start = np.where(in_red, 0, np.where(in_green, 2, 4)).astype(rgb.dtype)
+    return start + step / chroma
+
+
+def _hexagon_color(degrees: Array) -> Array:
+    sextants = np.mod(np.asarray(degrees, np.float64) / SEXTANT_DEG, 6)
+    return np.stack(
+        [
+            np.clip(np.abs(sextants - 3) - 1, 0, 1),
+            np.clip(2 - np.abs(sextants - 2), 0, 1),
+            np.clip(2 - np.abs(sextants - 4), 0, 1),
+        ]
+    )
+
+
+#: The hue of HSL and HSV, taken of the linear colour: one number for every half-plane that the grey
+#: axis bounds. Smith: Color Gamut Transform Pairs, SIGGRAPH 1978.
+HEXAGON = HueAxis("HSL hue of the linear colour", _hexagon_sextants, _hexagon_color)
