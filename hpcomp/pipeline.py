@@ -30,17 +30,17 @@ from .imagefile import (
     LayerImage,
     LayerReader,
     OutputForm,
-    choose,
     describe,
     format_of_output,
     open_writer,
     seekable,
 )
+from .layerfile import opened_layer
 from .notices import Notices, warn_of_layers, warn_of_losses, warn_of_problems, warn_of_zeroed
 from .outputfile import whole_output
 from .samples import Samples, Strip, encode
 from .stackfile import LayerSpec, layer_spec
-from .workers import Workers, reads_ahead, writes_behind
+from .workers import Workers, reads_ahead, thread_count, writes_behind
 
 log = logging.getLogger("hpcomp")
 
@@ -115,7 +115,7 @@ def stack(
     wanted_region = parse_window(region) if isinstance(region, str) else region
     if nonfinite not in NONFINITE_POLICIES:
         raise unknown_name("nonfinite policy", nonfinite, NONFINITE_POLICIES)
-    n_threads = _thread_count(threads)
+    n_threads = thread_count(threads)
     budget = parse_bytes(max_memory)
     if [spec.path for spec in specs].count(STDIN) > 1:
         raise SettingError("stdin can be only one of the layers")
@@ -126,7 +126,7 @@ def stack(
         target = opened.enter_context(whole_output(output, clobber=clobber))
         _allow_open_files(len(specs))
         readers = [
-            opened.enter_context(_opened_layer(spec, spec.label(number), nonfinite))
+            opened.enter_context(opened_layer(spec, spec.label(number), nonfinite))
             for number, spec in enumerate(specs)
         ]
         warn_of_layers(rules, readers, notices)
@@ -205,7 +205,7 @@ def read_layer(
         colorspace=colorspace or spec.colorspace,
     )
     notices = Notices(strict)
-    with _opened_layer(spec, spec.path, nonfinite) as reader:
+    with opened_layer(spec, spec.path, nonfinite) as reader:
         window = reader.window
         pixels = np.empty((window.height, window.width, 4), np.float32)
         for begin, end in _strips(window, STRIP_ROWS):
@@ -303,18 +303,6 @@ def _rules(
     )
 
 
-def _thread_count(threads: int | None) -> int:
-    if threads is None:
-        return (
-            len(os.sched_getaffinity(0))
-            if hasattr(os, "sched_getaffinity")
-            else os.cpu_count() or 1
-        )
-    if threads < 1:
-        raise SettingError(f"threads {threads} is below 1")
-    return threads
-
-
 _BYTES = re.compile(r"(\d+(?:\.\d+)?)\s*([KMGT]?)(?:i?B)?", re.IGNORECASE | re.ASCII)
 
 
@@ -364,26 +352,6 @@ def _allow_open_files(layers: int) -> None:
     if soft != resource.RLIM_INFINITY and soft < wanted:
         allowed = wanted if hard == resource.RLIM_INFINITY else min(wanted, hard)
         resource.setrlimit(resource.RLIMIT_NOFILE, (max(soft, allowed), hard))
-
-
-@contextlib.contextmanager
-def _opened_layer(spec: LayerSpec, label: str, nonfinite: str) -> Iterator[LayerReader]:
-    with seekable(spec.path, label) as path:
-        file = describe(path, label)
-        part, group = choose(file, part=spec.part, layer=spec.layer, label=label)
-        reader = LayerReader(
-            file,
-            part,
-            group,
-            alpha=spec.alpha,
-            colorspace=spec.colorspace,
-            nonfinite=nonfinite,
-            label=label,
-        )
-        try:
-            yield reader
-        finally:
-            reader.close()
 
 
 def _placed(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
@@ -10,7 +11,22 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from threading import Event, Lock
 from typing import Any, Generic, TypeVar
 
+from .errors import SettingError
+
 T = TypeVar("T")
+
+
+def thread_count(threads: int | None) -> int:
+    """How many threads a run takes: as asked, or one for each core that it may use."""
+    if threads is None:
+        return (
+            len(os.sched_getaffinity(0))
+            if hasattr(os, "sched_getaffinity")
+            else os.cpu_count() or 1
+        )
+    if threads < 1:
+        raise SettingError(f"threads {threads} is below 1")
+    return threads
 
 
 def reads_ahead(threads: int) -> int:

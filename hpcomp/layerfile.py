@@ -1,0 +1,34 @@
+"""From a LAYER to its open file: one door for every command that reads layers."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator
+
+from .imagefile import LayerReader, choose, describe, seekable
+from .stackfile import LayerSpec
+
+
+@contextlib.contextmanager
+def opened_layer(spec: LayerSpec, label: str, nonfinite: str) -> Iterator[LayerReader]:
+    """A reader of the layer's pixels, closed at the end of the block.
+
+    `label` names it in errors. `nonfinite`: a policy on NaN and Inf, as in `LayerReader`.
+    Errors: `SettingError`, `InputError`.
+    """
+    with seekable(spec.path, label) as path:
+        file = describe(path, label)
+        part, group = choose(file, part=spec.part, layer=spec.layer, label=label)
+        reader = LayerReader(
+            file,
+            part,
+            group,
+            alpha=spec.alpha,
+            colorspace=spec.colorspace,
+            nonfinite=nonfinite,
+            label=label,
+        )
+        try:
+            yield reader
+        finally:
+            reader.close()
