@@ -1,1 +1,1 @@
-"""What hpcomp tells people and scripts about pictures: text, JSON. No pixels are computed here."""
+"""What hpcomp tells people and scripts about pictures: text, data, figures. Counts no pixels."""

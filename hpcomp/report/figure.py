@@ -1,0 +1,374 @@
+"""Hue histograms as a figure to publish: SVG, PNG, PDF. The only importer of matplotlib.
+
+The same histograms give the same bytes: fonts are those that come with matplotlib, nobody's
+matplotlibrc is read, and neither time nor version is written.
+"""
+
+from __future__ import annotations
+
+import io
+import logging
+import math
+import warnings
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..errors import OutputError, SettingError, printable
+from ..histogram import HueHistogram
+from ..hueaxis import HueAxis
+from .look import (
+    SCALES,
+    WEIGHT_TITLES,
+    Entry,
+    Look,
+    axis_start,
+    common_axis,
+    hue_colors,
+    percent,
+    srgb_hex,
+    ticks,
+)
+
+# What it has to say of its caches is not for those who ask for a figure.
+logging.getLogger("matplotlib").setLevel(logging.CRITICAL)
+
+try:
+    import matplotlib
+    from matplotlib.collections import PolyCollection
+    from matplotlib.colors import to_rgb
+    from matplotlib.figure import Figure
+    from matplotlib.font_manager import FontProperties
+    from matplotlib.patches import Rectangle
+    from matplotlib.text import Text
+except ImportError as missing:
+    raise OutputError(
+        f"a figure needs matplotlib, which cannot be imported ({missing}): "
+        "pip install 'hpcomp[plot]'"
+    ) from None
+
+#: Small multiples beyond these would be a wall, and a PNG of them too large.
+MOST_IMAGES = 120
+PNG_DPI = 200
+
+# Inches. A cell is one image: its title and two lines of text above, a straight axis, a round one.
+_LINEAR_WIDTH, _POLAR_WIDTH, _PLOT_HEIGHT = 4.4, 1.75, 1.35
+_SMALL_LINEAR_WIDTH = 3.0
+_LEFT, _RIGHT, _GAP = 0.62, 0.12, 0.38
+_ABOVE, _BELOW = 0.52, 0.42
+_FOOT = 0.26
+_STRIP = 0.09
+_POLAR_MARGIN = 0.22
+#: A figure of round axes alone.
+_BIG_POLAR, _POLAR_COLUMNS = 2.3, 4
+
+_INK, _PALE = "#222222", "#d0d0d0"
+_TITLE, _TEXT, _SMALL, _SMALLEST = 9.0, 7.0, 6.5, 5.0
+
+#: The hole in a round histogram, as a share of its radius: single bins stay visible around it.
+_HOLE = 0.32
+_RING = 0.07
+
+#: The colours of the hues, in so many cells, whose edges viewers must not show.
+_STRIP_CELLS, _RING_CELLS = 180, 120
+_SEAMLESS: dict[str, Any] = {"edgecolors": "face", "linewidth": 0.3}
+
+_RC: dict[str, Any] = {
+    "svg.hashsalt": "hpcomp",
+    "svg.fonttype": "path",
+    "pdf.fonttype": 42,
+    "path.simplify": False,
+    "axes.linewidth": 0.6,
+    "axes.unicode_minus": True,
+    "text.usetex": False,
+}
+
+#: For each format, what would otherwise say when and with which version it was made.
+_METADATA: dict[str, dict[str, Any]] = {
+    "svg": {"Date": None, "Creator": "hpcomp"},
+    "png": {"Software": None},
+    "pdf": {"CreationDate": None, "Creator": "hpcomp", "Producer": None},
+}
+
+
+def as_svg(entries: Sequence[Entry], look: Look) -> bytes:
+    """The figure as SVG, its letters as outlines."""
+    return _saved(entries, look, "svg")
+
+
+def as_png(entries: Sequence[Entry], look: Look) -> bytes:
+    """The figure as PNG."""
+    return _saved(entries, look, "png")
+
+
+def as_pdf(entries: Sequence[Entry], look: Look) -> bytes:
+    """The figure as PDF of one page, its font embedded."""
+    return _saved(entries, look, "pdf")
+
+
+def _saved(entries: Sequence[Entry], look: Look, format: str) -> bytes:
+    axis = common_axis(entries)
+    if len(entries) > MOST_IMAGES:
+        raise SettingError(
+            f"a figure shows {MOST_IMAGES} images at most, not {len(entries)}: make several"
+        )
+    stream = io.BytesIO()
+    with matplotlib.rc_context(), warnings.catch_warnings():
+        # File names may have letters that the font does not have: they become boxes.
+        warnings.filterwarnings("ignore", message="Glyph .* missing from")
+        matplotlib.rcdefaults()
+        matplotlib.rcParams.update(_RC)
+        figure = _Sheet(axis, entries, look).figure
+        figure.savefig(stream, format=format, dpi=PNG_DPI, metadata=_METADATA[format])
+    return stream.getvalue()
+
+
+class _Sheet:
+    """A figure with a cell for each image, in rows, all on one scale."""
+
+    def __init__(self, axis: HueAxis, entries: Sequence[Entry], look: Look) -> None:
+        self.axis, self.look = axis, look
+        self.scale = SCALES[look.scale]
+        self.bins = entries[0][1].bins
+        shares = [found.shares(look.weight) for _, found in entries]
+        self.top = max(float(share.max()) for share in shares) * 1.04 or 1.0
+        self.start = axis_start(axis)
+        fonts = Path(matplotlib.get_data_path()) / "fonts" / "ttf"
+        self.font = FontProperties(fname=fonts / "DejaVuSans.ttf")
+        self.bold = FontProperties(fname=fonts / "DejaVuSans-Bold.ttf")
+
+        n = len(entries)
+        self.straight, self.round = look.axes != "polar", look.axes != "linear"
+        below = _BELOW
+        if self.straight:
+            columns = 1 if n <= 3 else 2 if n <= 8 else 3
+            self.linear_width = _LINEAR_WIDTH if columns == 1 else _SMALL_LINEAR_WIDTH
+            self.polar_size, self.plot_height = _POLAR_WIDTH, _PLOT_HEIGHT
+            polar_below = 0.17
+        else:
+            columns = min(n, _POLAR_COLUMNS)
+            self.linear_width = 0.0
+            self.polar_size = self.plot_height = _BIG_POLAR
+            below = polar_below = 0.0
+        rows = -(-n // columns)
+        cell_width = self._polar_left + (self.polar_size if self.round else 0) + _RIGHT
+        cell_height = _ABOVE + self.plot_height + below
+        self.width, self.height = columns * cell_width, rows * cell_height + _FOOT
+        self.figure = Figure(figsize=(self.width, self.height), facecolor="white")
+        for number, (label, found) in enumerate(entries):
+            row, column = divmod(number, columns)
+            left = column * cell_width
+            bottom = self.height - row * cell_height - _ABOVE - self.plot_height
+            self._heading(label, found, left, bottom + self.plot_height, cell_width)
+            if self.straight:
+                self._linear(found, left + _LEFT, bottom)
+            if self.round:
+                self._polar(found, left + self._polar_left, bottom - polar_below)
+        self._text(self.width / 2, 0.1, self._caption(), size=_SMALL, horizontalalignment="center")
+
+    @property
+    def _polar_left(self) -> float:
+        """Where a cell's round axis begins."""
+        return _LEFT + self.linear_width + _GAP if self.straight else _RIGHT
+
+    def _caption(self) -> str:
+        return (
+            f"{self.axis.title}; share of the {WEIGHT_TITLES[self.look.weight]}, "
+            f"{360 / self.bins:.3g}° to a bar, on a {self.scale.title}"
+        )
+
+    # --- parts; places are inches from the bottom left ---
+
+    def _axes(self, left: float, bottom: float, width: float, height: float, **how: Any) -> Any:
+        place = (left / self.width, bottom / self.height, width / self.width, height / self.height)
+        return self.figure.add_axes(place, **how)
+
+    def _text(self, x: float, y: float, text: str, **how: Any) -> Text:
+        how.setdefault("fontproperties", self.font)
+        size = how.pop("size", _TEXT)
+        made = self.figure.text(
+            x / self.width, y / self.height, text, color=_INK, parse_math=False, **how
+        )
+        made.set_fontsize(size)
+        return made
+
+    def _width_of(self, text: Text) -> float:
+        return float(text.get_window_extent().width / self.figure.dpi)
+
+    def _heading(
+        self, label: str, found: HueHistogram, left: float, bottom: float, width: float
+    ) -> None:
+        """Above a cell's plots: the name, the shares of pixels, the peaks with their colours."""
+        x = left + (_LEFT if self.straight else _RIGHT)
+        room = left + width - x - _RIGHT
+        title = self._text(
+            x, bottom + 0.34, printable(label), fontproperties=self.bold, size=_TITLE
+        )
+        self._shorten(title, room)
+        total = max(1, found.pixels)
+        parts = [
+            f"{found.pixels:,} px",
+            f"{percent(found.chromatic / total)} with a hue",
+            f"{percent(found.grey / total)} grey",
+            f"{percent(found.transparent / total)} transparent",
+        ]
+        if found.nonfinite:
+            parts.append(f"{percent(found.nonfinite / total)} NaN or Inf")
+        shares = self._text(x, bottom + 0.215, ", ".join(parts))
+        if self._width_of(shares) > room:
+            shares.set_text(", ".join(parts[1:]))
+            self._shorten(shares, room)
+        self._peaks(found, x, bottom + 0.085, room)
+
+    def _shorten(self, text: Text, room: float) -> None:
+        """Takes letters from the middle until it fits."""
+        whole = text.get_text()
+        kept = len(whole)
+        while self._width_of(text) > room and kept > 4:
+            kept -= 1
+            text.set_text(whole[: -(-kept // 2)] + "…" + whole[len(whole) - kept // 2 :])
+
+    def _peaks(self, found: HueHistogram, x: float, y: float, room: float) -> None:
+        if not found.peaks:
+            words = "no hue stands out" if found.chromatic else "no pixel has a hue"
+            self._text(x, y, words)
+            return
+        end = x + room
+        for number, peak in enumerate(found.peaks):
+            left = len(found.peaks) - number
+            text = self._text(x + 0.12, y, f"{peak.hue:.1f}° {percent(peak.share)}")
+            width = 0.12 + self._width_of(text) + 0.14
+            # Room is kept for the words on those that are left out.
+            if x + width > end - (0.5 if left > 1 else 0) + 0.14:
+                text.remove()
+                self._text(x, y, f"+{left} more")
+                return
+            self.figure.add_artist(
+                Rectangle(
+                    (x / self.width, (y - 0.005) / self.height),
+                    0.085 / self.width,
+                    0.085 / self.height,
+                    facecolor=srgb_hex(peak.rgb),
+                    edgecolor=_INK,
+                    linewidth=0.3,
+                    transform=self.figure.transFigure,
+                )
+            )
+            x += width
+
+    def _heights(self, found: HueHistogram) -> Any:
+        return self.scale.heights(found.shares(self.look.weight), self.top)
+
+    def _ticks(self, height: float) -> list[tuple[float, str]]:
+        """Heights and shares to write there, no closer than the letters need."""
+        apart = 0.19 / height
+        return [
+            (float(self.scale.heights(share, self.top)), f"{100 * share:g}%")
+            for share in ticks(self.top, self.scale, apart)
+        ]
+
+    def _linear(self, found: HueHistogram, left: float, bottom: float) -> None:
+        axes = self._axes(left, bottom, self.linear_width, self.plot_height)
+        axes.set_xlim(self.start, self.start + 360)
+        axes.set_ylim(0, 1)
+        width = 360 / self.bins
+        first = math.floor(self.start / width)
+        # Bars that the axis' ends cut are drawn at both.
+        numbers = np.arange(first, first + self.bins + 2)
+        edges = (np.append(numbers, numbers[-1] + 1) - 0.5) * width
+        heights = self._heights(found)[numbers % self.bins]
+        rows = self._ticks(self.plot_height)
+        for height, _ in rows[1:]:
+            axes.axhline(height, color=_PALE, linewidth=0.4, zorder=0)
+        # The outline keeps a single bin visible, however narrow.
+        axes.stairs(
+            np.where(heights > 0, heights, np.nan),
+            edges,
+            fill=True,
+            facecolor=_INK,
+            edgecolor=_INK,
+            linewidth=0.35,
+        )
+        axes.set_yticks([height for height, _ in rows], [text for _, text in rows])
+        for spine in ("top", "right"):
+            axes.spines[spine].set_visible(False)
+        axes.set_xticks([])
+        self._style_ticks(axes)
+
+        strip = self._axes(left, bottom - _STRIP - 0.02, self.linear_width, _STRIP)
+        strip.set_xlim(self.start, self.start + 360)
+        strip.set_ylim(0, 1)
+        edges = self.start + np.linspace(0, 360, _STRIP_CELLS + 1)
+        strip.pcolormesh(edges, [0, 1], self._colors_between(edges), **_SEAMLESS)
+        strip.set_yticks([])
+        places = self.axis.landmarks()
+        turned = [(hue - self.start) % 360 + self.start for hue in places.values()]
+        labels = [f"{hue:.0f}°\n{name}" for name, hue in places.items()]
+        strip.set_xticks(turned, labels)
+        self._style_ticks(strip)
+        for spine in strip.spines.values():
+            spine.set_visible(False)
+
+    def _colors_between(self, edges: Any) -> Any:
+        """Hues halfway between edges (n + 1,), as sRGB (1, n, 3) in [0, 1]."""
+        hues = (edges[1:] + edges[:-1]) / 2
+        return np.array([[to_rgb(color) for color in hue_colors(self.axis, hues)]])
+
+    def _style_ticks(self, axes: Any) -> None:
+        axes.tick_params(length=2.2, width=0.6, pad=1.5, color=_INK)
+        for label in (*axes.get_xticklabels(), *axes.get_yticklabels()):
+            label.set_fontproperties(self.font)
+            label.set_fontsize(_SMALL)
+            label.set_color(_INK)
+
+    def _polar(self, found: HueHistogram, left: float, bottom: float) -> None:
+        size = self.polar_size - 2 * _POLAR_MARGIN
+        axes = self._axes(
+            left + _POLAR_MARGIN, bottom + _POLAR_MARGIN, size, size, projection="polar"
+        )
+        axes.set_ylim(0, 1)
+        circle = np.radians(np.arange(0, 362, 2))
+        for height, share in self._ticks(size / 2 * (1 - _HOLE))[1:]:
+            radius = _HOLE + height * (1 - _HOLE)
+            axes.plot(circle, np.full(len(circle), radius), color=_PALE, linewidth=0.4, zorder=0)
+            label = axes.text(
+                math.pi / 2, radius, share, color=_INK, zorder=0.5, parse_math=False,
+                horizontalalignment="center", verticalalignment="center",
+                bbox={"facecolor": "white", "linewidth": 0, "pad": 0.4},
+            )  # fmt: skip
+            label.set_fontproperties(self.font)
+            label.set_fontsize(_SMALLEST)
+        heights = self._heights(found) * (1 - _HOLE)
+        axes.add_collection(
+            PolyCollection(
+                [self._wedge(k, heights[k]) for k in np.flatnonzero(heights).tolist()],
+                facecolor=_INK,
+                edgecolor=_INK,
+                linewidth=0.35,
+            )
+        )
+        edges = np.linspace(0, 360, _RING_CELLS + 1)
+        ring = [_HOLE - _RING - 0.01, _HOLE - 0.01]
+        axes.pcolormesh(np.radians(edges), ring, self._colors_between(edges), **_SEAMLESS)
+        places = self.axis.landmarks()
+        axes.set_xticks(
+            [math.radians(hue) for hue in places.values()],
+            [f"{hue:.0f}°" for hue in places.values()],
+        )
+        axes.set_yticks([])
+        axes.grid(False)
+        axes.set_ylim(0, 1)
+        axes.spines["polar"].set_color(_PALE)
+        self._style_ticks(axes)
+        axes.tick_params(pad=-2.5 if self.straight else 0, length=0)
+
+    def _wedge(self, index: int, height: float) -> Any:
+        """A bar of round axes as (angle, radius): its ends are arcs of short pieces."""
+        width = 360 / self.bins
+        angles = np.radians(np.linspace(-width / 2, width / 2, 1 + math.ceil(width)))
+        angles += math.radians(index * width)
+        inner = np.stack([angles, np.full(len(angles), _HOLE)], axis=1)
+        outer = np.stack([angles, np.full(len(angles), _HOLE + height)], axis=1)
+        return np.concatenate([inner, outer[::-1]])

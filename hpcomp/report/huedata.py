@@ -1,0 +1,133 @@
+"""Hue histograms as data for scripts: JSON and CSV.
+
+The JSON document has the keys `schema` ("hpcomp.hues"), `version`, then the settings of all
+histograms, `space`, `bins`, `achromatic`, `peak_radius` (degrees), and `images`, a list of
+
+    name           what the picture is called
+    pixels         all, chromatic, grey, transparent, nonfinite: counts
+    peaks          list of hue (degrees), count, share, chroma_share, rgb (linear), srgb (#rrggbb)
+    concentration  share and chroma_share within peak_radius of the peaks; entropy in bits and
+                   relative_entropy of the counts; occupied, the number of bins with a pixel
+    histogram      lists of one number for each bin: hue (degrees, the centre), count, and the sums
+                   chroma (|p|), alpha, red, green, blue (linear, premultiplied)
+
+Shares are of the chromatic pixels or of their chroma. Sums are exact multiples of 2**-24.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import re
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+from ..errors import printable
+from ..histogram import PEAK_RADIUS_DEG, HueHistogram
+from .look import Entry, Look, common_axis, srgb_hex
+
+SCHEMA = "hpcomp.hues"
+#: Version of the data; it grows when a key changes its meaning or goes.
+SCHEMA_VERSION = 1
+
+#: Digits of what is computed from sums: the same on every machine.
+_DIGITS = 9
+
+CSV_COLUMNS = ("image", "kind", "hue", "count", "chroma", "alpha", "red", "green", "blue")
+
+
+def as_data(entries: Sequence[Entry]) -> dict[str, Any]:
+    """Histograms of the same settings as dictionaries, lists, strings and numbers."""
+    common_axis(entries)
+    first = entries[0][1]
+    return {
+        "schema": SCHEMA,
+        "version": SCHEMA_VERSION,
+        "space": first.space,
+        "bins": first.bins,
+        "achromatic": first.achromatic,
+        "peak_radius": PEAK_RADIUS_DEG,
+        "images": [{"name": label, **histogram_data(found)} for label, found in entries],
+    }
+
+
+def histogram_data(histogram: HueHistogram) -> dict[str, Any]:
+    """One histogram, as in `images` of the document."""
+    found = histogram.concentration
+    return {
+        "pixels": {
+            "all": histogram.pixels,
+            "chromatic": histogram.chromatic,
+            "grey": histogram.grey,
+            "transparent": histogram.transparent,
+            "nonfinite": histogram.nonfinite,
+        },
+        "peaks": [
+            {
+                "hue": _rounded(peak.hue),
+                "count": peak.count,
+                "share": _rounded(peak.share),
+                "chroma_share": _rounded(peak.chroma_share),
+                "rgb": [_rounded(component) for component in peak.rgb],
+                "srgb": srgb_hex(peak.rgb),
+            }
+            for peak in histogram.peaks
+        ],
+        "concentration": {
+            "share": _rounded(found.share),
+            "chroma_share": _rounded(found.chroma_share),
+            "entropy": _rounded(found.entropy),
+            "relative_entropy": _rounded(found.relative_entropy),
+            "occupied": histogram.occupied,
+        },
+        "histogram": {
+            "hue": [_rounded(hue) for hue in histogram.hues.tolist()],
+            "count": histogram.count.tolist(),
+            "chroma": histogram.chroma_sums.tolist(),
+            "alpha": histogram.alpha_sums.tolist(),
+            **dict(zip(("red", "green", "blue"), histogram.rgb_sums.T.tolist(), strict=True)),
+        },
+    }
+
+
+def _rounded(value: float) -> float:
+    return round(value, _DIGITS)
+
+
+def as_json(entries: Sequence[Entry], look: Look) -> bytes:
+    """The JSON document, ASCII, a list of numbers on one line."""
+    return one_line_lists(json.dumps(as_data(entries), indent=2)).encode() + b"\n"
+
+
+#: A list that holds no string, list or object, in JSON with line breaks; strings have none.
+_NUMBERS = re.compile(r'\[\n([^\[\]{}"]*)\n *\]')
+
+
+def one_line_lists(text: str) -> str:
+    """Indented JSON with each list of numbers on one line."""
+    return _NUMBERS.sub(lambda match: f"[{' '.join(match[1].split())}]", text)
+
+
+def as_csv(entries: Sequence[Entry], look: Look) -> bytes:
+    """A table with a row for each bin of each image, and for the pixels that are in none; UTF-8.
+
+    `kind` is `hue`, with the bin's centre in `hue`, or `grey`, `transparent` or `nonfinite`, whose
+    rows have a count alone. The other columns are sums, as in the JSON document.
+    """
+    common_axis(entries)
+    text = io.StringIO(newline="")
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(CSV_COLUMNS)
+    for label, histogram in entries:
+        for row in _rows(histogram):
+            writer.writerow((printable(label), *row))
+    return text.getvalue().encode()
+
+
+def _rows(histogram: HueHistogram) -> Iterator[tuple[Any, ...]]:
+    data = histogram_data(histogram)
+    for values in zip(*data["histogram"].values(), strict=True):
+        yield ("hue", *values)
+    for kind in ("grey", "transparent", "nonfinite"):
+        yield (kind, "", data["pixels"][kind], *[""] * 5)
