@@ -9,6 +9,9 @@ Chuang, Weiskopf, Möller: Hue-Preserving Color Blending, IEEE TVCG 15(6), 2009.
     read_layer    one layer of a file -> pixels and windows
     write_image   pixels -> a file
     info          what a file holds and how it will be read
+    hue_histogram      pixels -> their hues, counted
+    read_hues          the same of a file, strip by strip, as `hpcomp hues`
+    write_hue_report   histograms -> text, JSON, CSV or a figure
 
 Names are imported on first use, so that importing the package costs nothing.
 """
@@ -31,8 +34,11 @@ if TYPE_CHECKING:
     from .errors import OutputError as OutputError
     from .errors import SettingError as SettingError
     from .geometry import Window as Window
+    from .histogram import HueHistogram as HueHistogram
+    from .histogram import hue_histogram as hue_histogram
     from .imagefile import ImageFile as ImageFile
     from .imagefile import LayerImage as LayerImage
+    from .measuring import read_hues as read_hues
     from .orders import ORDERS as ORDERS
     from .pipeline import StackResult as StackResult
     from .pipeline import info as info
@@ -40,6 +46,7 @@ if TYPE_CHECKING:
     from .pipeline import stack as stack
     from .pipeline import write_image as write_image
     from .porter_duff import OPERATORS as OPERATORS
+    from .report.formats import write_hue_report as write_hue_report
     from .spaces import SPACES as SPACES
     from .stackfile import LayerSpec as LayerSpec
 
@@ -57,8 +64,11 @@ _HOME = {
     "OutputError": ".errors",
     "SettingError": ".errors",
     "Window": ".geometry",
+    "HueHistogram": ".histogram",
+    "hue_histogram": ".histogram",
     "ImageFile": ".imagefile",
     "LayerImage": ".imagefile",
+    "read_hues": ".measuring",
     "ORDERS": ".orders",
     "StackResult": ".pipeline",
     "info": ".pipeline",
@@ -66,6 +76,7 @@ _HOME = {
     "stack": ".pipeline",
     "write_image": ".pipeline",
     "OPERATORS": ".porter_duff",
+    "write_hue_report": ".report.formats",
     "SPACES": ".spaces",
     "LayerSpec": ".stackfile",
 }

@@ -7,7 +7,7 @@ import logging
 import os
 import time
 from collections import deque
-from collections.abc import Callable, Generator, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import partial
 from threading import Event
@@ -36,11 +36,34 @@ def measured_image(image: Layer) -> LayerSpec:
     """
     spec = layer_spec(image)
     for setting in STACK_SETTINGS:
-        if getattr(spec, setting) != getattr(LayerSpec(spec.path), setting):
+        if getattr(spec, setting) != getattr(LayerSpec, setting):
             raise SettingError(
                 f"{image}: '{setting}' says nothing of a single picture: leave it out"
             )
     return spec
+
+
+def images_to_measure(images: Sequence[Layer], output: str) -> list[LayerSpec]:
+    """The pictures for a report at `output`, checked as far as names go. Errors: `SettingError`."""
+    specs = [measured_image(image) for image in images]
+    if [spec.path for spec in specs].count(STDIN) > 1:
+        raise SettingError("stdin can be only one of the images")
+    for spec in specs:
+        if _same_file(spec.path, output):
+            raise SettingError(
+                f"{output} is also an image to be measured, which the report would replace: "
+                "name another file with -o"
+            )
+    return specs
+
+
+def _same_file(path: str, output: str) -> bool:
+    if STDIN in (path, output):
+        return False
+    try:
+        return os.path.isfile(path) and os.path.samefile(path, output)
+    except (OSError, ValueError):
+        return False
 
 
 def image_label(spec: LayerSpec) -> str:

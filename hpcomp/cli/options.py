@@ -34,6 +34,23 @@ class Command(click.Command):
             raise click.UsageError(str(error), ctx) from error
 
 
+class LayerCommand(Command):
+    """Takes `-::key=value`, stdin with settings, for the layer that it is and not for an option."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        rest = super().parse_args(
+            ctx, [f"{_STDIN_MARK}{a}" if a.startswith("-::") else a for a in args]
+        )
+        for name, value in ctx.params.items():
+            if isinstance(value, tuple):
+                ctx.params[name] = tuple(str(v).removeprefix(_STDIN_MARK) for v in value)
+        return rest
+
+
+#: A character of Unicode's private use, which no file name begins with.
+_STDIN_MARK = "\U000f0000"
+
+
 def _show_messages(ctx: click.Context, param: click.Parameter, value: bool) -> bool:
     if value and param.name == "verbose" and sys.stderr is not None:
         handler = logging.StreamHandler(sys.stderr)
@@ -55,11 +72,17 @@ def _show_warning(message: Any, category: type[Warning], *where: Any, **more: An
 
 def print_data(text: str) -> None:
     """Prints on stdout, which carries data only; `OutputError` where it takes none."""
+    encoding = getattr(sys.stdout, "encoding", None) or "utf-8"
+    print_bytes(f"{text}\n".encode(encoding, "backslashreplace"))
+
+
+def print_bytes(data: bytes) -> None:
+    """Prints data as they are; `OutputError` where stdout takes none."""
     if sys.stdout is None:
         raise OutputError("stdout is closed: give it a reader")
     try:
         with stdout_bytes() as stdout:
-            stdout.write(f"{text}\n".encode(sys.stdout.encoding or "utf-8", "backslashreplace"))
+            stdout.write(data)
     except BrokenPipeError:
         raise
     except OSError as reason:

@@ -11,7 +11,7 @@ from ..orders import ORDERS
 from ..porter_duff import OPERATOR_NAMES, OPERATORS
 from ..spaces import SPACES
 from ..stackfile import LAYER_KEYS
-from .options import Command, message_options
+from .options import LayerCommand, message_options
 from .signals import load
 
 LAYER_HELP = f"""Composite layers, bottom first, into one picture.
@@ -36,20 +36,7 @@ argument is an existing file; a value holds no comma. Keys: {", ".join(LAYER_KEY
 """
 
 
-class StackCommand(Command):
-    """Takes `-::key=value`, stdin with settings, for the layer that it is and not for an option."""
-
-    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        return super().parse_args(
-            ctx, [f"{_STDIN_MARK}{a}" if a.startswith("-::") else a for a in args]
-        )
-
-
-#: A character of Unicode's private use, which no file name begins with.
-_STDIN_MARK = "\U000f0000"
-
-
-@click.command("stack", cls=StackCommand, help=LAYER_HELP, short_help=LAYER_HELP.partition("\n")[0])
+@click.command("stack", cls=LayerCommand, help=LAYER_HELP, short_help=LAYER_HELP.partition("\n")[0])
 @click.argument(
     "layers", metavar="LAYER...", nargs=-1, required=True, type=click.Path(readable=False)
 )
@@ -163,4 +150,4 @@ _STDIN_MARK = "\U000f0000"
 @message_options
 def command(layers: tuple[str, ...], output: str, **options: Any) -> None:
     pipeline = load("hpcomp.pipeline")
-    pipeline.stack([layer.removeprefix(_STDIN_MARK) for layer in layers], output, **options)
+    pipeline.stack(layers, output, **options)

@@ -38,7 +38,6 @@ logging.getLogger("matplotlib").setLevel(logging.CRITICAL)
 try:
     import matplotlib
     from matplotlib.collections import PolyCollection
-    from matplotlib.colors import to_rgb
     from matplotlib.figure import Figure
     from matplotlib.font_manager import FontProperties
     from matplotlib.patches import Rectangle
@@ -71,9 +70,8 @@ _TITLE, _TEXT, _SMALL, _SMALLEST = 9.0, 7.0, 6.5, 5.0
 _HOLE = 0.32
 _RING = 0.07
 
-#: The colours of the hues, in so many cells, whose edges viewers must not show.
-_STRIP_CELLS, _RING_CELLS = 180, 120
-_SEAMLESS: dict[str, Any] = {"edgecolors": "face", "linewidth": 0.3}
+#: The colours of the hues, in so many cells.
+_HUE_CELLS = 360
 
 _RC: dict[str, Any] = {
     "svg.hashsalt": "hpcomp",
@@ -300,8 +298,7 @@ class _Sheet:
         strip = self._axes(left, bottom - _STRIP - 0.02, self.linear_width, _STRIP)
         strip.set_xlim(self.start, self.start + 360)
         strip.set_ylim(0, 1)
-        edges = self.start + np.linspace(0, 360, _STRIP_CELLS + 1)
-        strip.pcolormesh(edges, [0, 1], self._colors_between(edges), **_SEAMLESS)
+        self._hue_colors(strip, 0, 1)
         strip.set_yticks([])
         places = self.axis.landmarks()
         turned = [(hue - self.start) % 360 + self.start for hue in places.values()]
@@ -311,10 +308,18 @@ class _Sheet:
         for spine in strip.spines.values():
             spine.set_visible(False)
 
-    def _colors_between(self, edges: Any) -> Any:
-        """Hues halfway between edges (n + 1,), as sRGB (1, n, 3) in [0, 1]."""
-        hues = (edges[1:] + edges[:-1]) / 2
-        return np.array([[to_rgb(color) for color in hue_colors(self.axis, hues)]])
+    def _hue_colors(self, axes: Any, lowest: float, highest: float, unit: float = 1) -> None:
+        """A band of all hues on `axes`, whose x is in degrees times `unit`."""
+        width = 360 / _HUE_CELLS
+        begins = self.start + width * np.arange(_HUE_CELLS)
+        # Each reaches below the next, and no seam shows between them.
+        ends = np.minimum(begins + 2 * width, self.start + 360)
+        cells = [
+            [(x * unit, y) for x, y in ((b, lowest), (e, lowest), (e, highest), (b, highest))]
+            for b, e in zip(begins, ends, strict=True)
+        ]
+        colors = hue_colors(self.axis, begins + width / 2)
+        axes.add_collection(PolyCollection(cells, facecolors=colors, linewidth=0))
 
     def _style_ticks(self, axes: Any) -> None:
         axes.tick_params(length=2.2, width=0.6, pad=1.5, color=_INK)
@@ -349,9 +354,7 @@ class _Sheet:
                 linewidth=0.35,
             )
         )
-        edges = np.linspace(0, 360, _RING_CELLS + 1)
-        ring = [_HOLE - _RING - 0.01, _HOLE - 0.01]
-        axes.pcolormesh(np.radians(edges), ring, self._colors_between(edges), **_SEAMLESS)
+        self._hue_colors(axes, _HOLE - _RING - 0.01, _HOLE - 0.01, math.radians(1))
         places = self.axis.landmarks()
         axes.set_xticks(
             [math.radians(hue) for hue in places.values()],
@@ -360,9 +363,9 @@ class _Sheet:
         axes.set_yticks([])
         axes.grid(False)
         axes.set_ylim(0, 1)
-        axes.spines["polar"].set_color(_PALE)
+        axes.spines["polar"].set_visible(False)
         self._style_ticks(axes)
-        axes.tick_params(pad=-2.5 if self.straight else 0, length=0)
+        axes.tick_params(pad=0 if self.straight else 1.5, length=0)
 
     def _wedge(self, index: int, height: float) -> Any:
         """A bar of round axes as (angle, radius): its ends are arcs of short pieces."""

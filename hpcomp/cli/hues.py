@@ -1,0 +1,183 @@
+"""`hpcomp hues`: measures images, and prints or writes one report of them all."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Sequence
+from typing import Any
+
+import click
+
+from ..errors import HpcompError, InputError, MismatchError, SettingError
+from ..histogram import DEFAULT_ACHROMATIC, DEFAULT_BINS, FEWEST_BINS, MOST_BINS, WEIGHTS
+from ..outputfile import STDOUT, whole_output
+from ..report.formats import REPORT_FORMATS, put, report_format
+from ..report.look import AXES, SCALES, Entry, Look
+from ..spaces import SPACES
+from . import terminal
+from .messages import say
+from .options import LayerCommand, message_options, print_bytes
+from .signals import load
+
+_FORMATS = "\n".join(f"  {row.name:<6} {row.title}" for row in REPORT_FORMATS.values())
+
+HUES_HELP = f"""Count the hues of images: how much of each, and which stand out.
+
+IMAGE is a PNG or EXR file in the LAYER syntax of `hpcomp stack`, with the keys alpha, colorspace,
+part, layer and name; `-` reads stdin. The hue is that of HSL, taken of the linear colour: 0 is red,
+120 green, 240 blue. Grey and transparent pixels are counted apart. Bins are centred on multiples
+of their width.
+
+A peak is a bin with more pixels than any other within 2°, and takes those bins in. It is listed if
+it holds 1% of the pixels with a hue, and half of those within 6° that no higher peak holds. The
+report also says what share of the pixels is within 2° of the peaks, how many bins have a pixel,
+and the entropy of the histogram, which is 0 bits for a single hue.
+
+Images that cannot be measured are named on stderr. A report on stdout has the others; a file is
+only written if it has all. The formats of reports are these; figures need matplotlib, which
+`pip install 'hpcomp[plot]'` brings.
+
+\b
+{_FORMATS}
+
+\b
+  hpcomp hues map.png
+  hpcomp hues map.png plain.png -o hues.svg
+  hpcomp hues 'render.exr::layer=diffuse' --format json > hues.json
+"""
+
+
+@click.command("hues", cls=LayerCommand, help=HUES_HELP, short_help=HUES_HELP.partition("\n")[0])
+@click.argument(
+    "images", metavar="IMAGE...", nargs=-1, required=True, type=click.Path(readable=False)
+)
+@click.option(
+    "-o",
+    "--output",
+    metavar="PATH",
+    type=click.Path(readable=False),
+    help="Write here, in the format of the ending: "
+    f"{', '.join(row.ending for row in REPORT_FORMATS.values())}. Stdout if not given, or -.",
+)
+@click.option(
+    "--format",
+    type=click.Choice(list(REPORT_FORMATS)),
+    help="Format of the report, whatever the ending; text on stdout if not given.",
+)
+@click.option(
+    "--bins",
+    type=int,
+    default=DEFAULT_BINS,
+    show_default=True,
+    metavar="N",
+    help=f"Bins of the circle, {FEWEST_BINS} to {MOST_BINS}.",
+)
+@click.option(
+    "--space",
+    type=click.Choice(list(SPACES)),
+    default="linear-rgb",
+    show_default=True,
+    help="Blending space whose hue and chroma are measured.",
+)
+@click.option(
+    "--achromatic",
+    type=float,
+    default=DEFAULT_ACHROMATIC,
+    show_default=True,
+    metavar="SATURATION",
+    help="Pixels less saturated than this, 0 to 1, are grey.",
+)
+@click.option(
+    "--weight",
+    type=click.Choice(list(WEIGHTS)),
+    default=WEIGHTS[0],
+    show_default=True,
+    help="What the bars of text and figures are shares of: pixels, their chroma or their alpha.",
+)
+@click.option(
+    "--scale",
+    type=click.Choice(list(SCALES)),
+    default=Look.scale,
+    show_default=True,
+    help="Scale of the bars of text and figures.",
+)
+@click.option(
+    "--axes",
+    type=click.Choice(list(AXES)),
+    default=Look.axes,
+    show_default=True,
+    help="Axes of a figure: straight, round, or both.",
+)
+@click.option(
+    "--clobber/--no-clobber",
+    default=True,
+    show_default=True,
+    help="Replace an existing output.",
+)
+@click.option(
+    "--nonfinite",
+    type=click.Choice(["error", "zero", "keep"]),
+    default="error",
+    show_default=True,
+    help="NaN and Inf in an image: error (refuse it), zero (the pixel becomes transparent), keep "
+    "(it is counted as such).",
+)
+@click.option("--strict", is_flag=True, help="Treat warnings as errors.")
+@click.option(
+    "--threads",
+    type=click.IntRange(min=1),
+    metavar="N",
+    help="Threads to use: all cores if not given.",
+)
+@message_options
+@click.pass_context
+def command(
+    ctx: click.Context,
+    /,
+    images: tuple[str, ...],
+    output: str | None,
+    format: str | None,
+    weight: str,
+    scale: str,
+    axes: str,
+    clobber: bool,
+    **measuring: Any,
+) -> None:
+    target = STDOUT if output is None else output
+    chosen = report_format(target, format)
+    if output is None and not chosen.on_terminal and terminal.is_terminal():
+        raise SettingError(f"a terminal shows no {chosen.name}: name a file with -o, or a pipe")
+    look = Look(weight=weight, scale=scale, axes=axes)
+    if target == STDOUT:
+        look = terminal.look(look)
+    render = chosen.load()
+    with contextlib.ExitStack() as opened:
+        # First of all, so that nothing is measured for a report that cannot be written.
+        place = ""
+        if target != STDOUT:
+            place = opened.enter_context(whole_output(target, clobber=clobber))
+        entries, failures = _measured(images, target, measuring)
+        if target == STDOUT and entries:
+            print_bytes(render(entries, look))
+        for failure in failures:
+            say(f"hpcomp: error: {failure}")
+        if failures:
+            ctx.exit(int(failures[0].exit_code))
+        if target != STDOUT:
+            put(place, render(entries, look))
+
+
+def _measured(
+    images: Sequence[str], output: str, settings: dict[str, Any]
+) -> tuple[list[Entry], list[HpcompError]]:
+    """The histograms of the images that can be measured, and what is wrong with the others."""
+    measuring = load("hpcomp.measuring")
+    specs = measuring.images_to_measure(images, output)
+    entries: list[Entry] = []
+    failures: list[HpcompError] = []
+    for spec in specs:
+        try:
+            entries.append((measuring.image_label(spec), measuring.read_hues(spec, **settings)))
+        except (InputError, MismatchError) as failure:
+            failures.append(failure)
+    return entries, failures
