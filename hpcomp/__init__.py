@@ -3,15 +3,15 @@
 Colours are labels: where translucent ones overlap, ⊕ keeps every hue one of those that went in.
 Chuang, Weiskopf, Möller: Hue-Preserving Color Blending, IEEE TVCG 15(6), 2009.
 
-    composite     stack of arrays (…, 4) -> array
-    hue_add       c1 ⊕ c2 of colours (…, 3)
-    stack         layer files -> one file, as `hpcomp stack`
-    read_layer    one layer of a file -> pixels and windows
-    write_image   pixels -> a file
-    info          what a file holds and how it will be read
-    hue_histogram      pixels -> their hues, counted
-    read_hues          the same of a file, strip by strip, as `hpcomp hues`
-    write_hue_report   histograms -> text, JSON, CSV or a figure
+    composite         stack of arrays (…, 4) -> array
+    hue_add           c1 ⊕ c2 of colours (…, 3)
+    stack             layer files -> one file, as `hpcomp stack`
+    read_layer        one layer of a file -> pixels and windows
+    write_image       pixels -> a file
+    info              what a file holds and how it will be read
+    hue_histogram     pixels (…, 4) -> how many have which hue
+    read_hues         the same of a file, strip by strip
+    write_hue_report  histograms -> text, JSON, CSV or a figure, as `hpcomp hues`
 
 Names are imported on first use, so that importing the package costs nothing.
 """

@@ -7,9 +7,9 @@ histogram of the whole, to the bit.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass, fields
 from functools import cached_property
+from statistics import median
 from typing import Any
 
 import numpy as np
@@ -39,9 +39,9 @@ BLOCK_PIXELS = 1 << 16
 PEAK_RADIUS_DEG = 2.0
 #: Peaks with less of the chromatic pixels than this are not listed.
 SMALLEST_PEAK = 0.01
-#: A peak holds this much of what lies within so many times its radius, or it is no more than a
-#: ripple of its surroundings: of an even histogram it would hold 5 bins of 13.
-PEAK_CONTRAST, SURROUNDINGS = 0.5, 3
+#: The bin of a peak has so many times the pixels that are usual beside it, or it is a ripple of a
+#: smear. Beside it is what is not its own, up to so many times its radius, and three bins at least.
+PEAK_CONTRAST, BESIDE, FEWEST_BESIDE = 3, 3, 3
 
 #: What the share of a hue can be a share of: pixels, their |p|, their alpha.
 WEIGHTS = ("count", "chroma", "alpha")
@@ -211,7 +211,8 @@ class HueHistogram:
 
         A peak is at a bin with more pixels than any other within 2°, and claims those bins, or its
         own where bins are wider, but for what a higher peak has claimed. It is listed if it claims
-        1% of the chromatic pixels, and half of those within 6° that no higher peak has claimed.
+        1% of the chromatic pixels, and if its bin has three times as many as is usual, the median,
+        on either side up to 6° away, where no higher peak has claimed them.
         """
         found = [self._peak(center, claim) for center, claim in self._claims]
         return tuple(sorted(found, key=lambda peak: (-peak.count, peak.hue)))
@@ -233,21 +234,25 @@ class HueHistogram:
     def _claims(self) -> list[tuple[int, list[int]]]:
         """The listed peaks: the bin of each, and the bins that it claims."""
         radius = self._peak_radius
-        around = max(SURROUNDINGS * radius, 1)
+        beside = range(radius + 1, max(BESIDE * radius, radius + FEWEST_BESIDE) + 1)
         count = self.count.tolist()
         total = sum(count)
         free = [True] * self.bins
         found = []
         for center in sorted(range(self.bins), key=lambda index: (-count[index], index)):
-            near = list(self._near(center, radius))
+            near = [(center + offset) % self.bins for offset in range(-radius, radius + 1)]
             if not count[center] or not free[center]:
                 continue
             if any(count[index] > count[center] for index in near):
                 continue
+            usual = max(
+                median([count[i] for i in places if free[i]] or [0])
+                for side in (-1, 1)
+                for places in [[(center + side * offset) % self.bins for offset in beside]]
+            )
             claim = [index for index in near if free[index]]
             size = sum(count[index] for index in claim)
-            surroundings = sum(count[i] for i in self._near(center, around) if free[i])
-            if size >= SMALLEST_PEAK * total and size >= PEAK_CONTRAST * surroundings:
+            if size >= SMALLEST_PEAK * total and count[center] >= PEAK_CONTRAST * usual:
                 found.append((center, claim))
                 for index in claim:
                     free[index] = False
@@ -257,11 +262,6 @@ class HueHistogram:
     def _peak_radius(self) -> int:
         """How many bins to either side of its own a peak claims."""
         return int(PEAK_RADIUS_DEG * self.bins / 360)
-
-    def _near(self, center: int, radius: int) -> Iterator[int]:
-        """The bins up to `radius` bins away."""
-        for offset in range(-radius, radius + 1):
-            yield (center + offset) % self.bins
 
     def _peak(self, center: int, claim: list[int]) -> Peak:
         rgb, alpha = self.rgb[claim].sum(axis=0), int(self.alpha[claim].sum())

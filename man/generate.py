@@ -25,6 +25,7 @@ from hpcomp.cli import cli
 from hpcomp.encoding import COLOR_INTEROP_IDS, COLOR_SPACES
 from hpcomp.errors import EXIT_CODE_MEANINGS
 from hpcomp.porter_duff import OPERATORS, Operator
+from hpcomp.report.huedata import CSV_COLUMNS, JSON_KEYS
 
 ROOT = Path(__file__).resolve().parent.parent
 README = ROOT / "README.md"
@@ -409,6 +410,39 @@ def _color_space_section() -> list[str]:
     return [*rows, ".PP", *prose(f"The IDs of the Color Interop Forum are names too: {ids}.")]
 
 
+def _json_section() -> list[str]:
+    rows = [
+        ".PP",
+        *prose(
+            "The document is ASCII. A later version of hpcomp may add keys without a new version "
+            "of the schema."
+        ),
+    ]
+    for key, meaning in JSON_KEYS.items():
+        rows += definition(bold(key), meaning)
+    return rows
+
+
+def _csv_section() -> list[str]:
+    columns = ", ".join(f"`{name}`" for name in CSV_COLUMNS)
+    return prose(
+        f"The columns are {columns}. For each image there is a row of the kind `hue` for each bin, "
+        "and one each of the kinds `grey`, `transparent` and `nonfinite`, which have a count "
+        "alone. Columns mean the same as the keys of the JSON document."
+    )
+
+
+def _hues_environment() -> list[str]:
+    return [
+        *definition(bold("NO_COLOR"), "Set to anything: a chart on the terminal has no colours."),
+        *definition(
+            f"{bold('FORCE_COLOR')}, {bold('CLICOLOR_FORCE')}",
+            "Set to anything but 0: a chart has colours in a pipe, too. NO_COLOR goes before.",
+        ),
+        *definition(bold("COLUMNS"), "How wide a chart is, where it is not the terminal's width."),
+    ]
+
+
 def _environment() -> list[str]:
     return definition(
         bold("TMPDIR"),
@@ -440,6 +474,11 @@ def _files() -> list[str]:
 #: Sections that only one page has, before EXIT STATUS.
 EXTRA_SECTIONS: dict[str, list[tuple[str, Callable[[], list[str]]]]] = {
     "hpcomp": [("ENVIRONMENT", _environment), ("FILES", _files)],
+    "hpcomp hues": [
+        ("ENVIRONMENT", _hues_environment),
+        ("JSON", _json_section),
+        ("CSV", _csv_section),
+    ],
     "hpcomp stack": [("OPERATORS", _operator_section), ("COLOUR SPACES", _color_space_section)],
 }
 

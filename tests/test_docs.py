@@ -318,7 +318,7 @@ def test_man_page_is_sound_roff(name):
 @pytest.mark.parametrize("name", TREE)
 def test_man_page_has_its_sections_in_the_usual_order(name):
     usual = ["NAME", "SYNOPSIS", "DESCRIPTION", "COMMANDS", "OPTIONS", "ENVIRONMENT", "FILES",
-             "OPERATORS", "COLOUR SPACES", "EXIT STATUS", "EXAMPLES", "SEE ALSO"]  # fmt: skip
+             "OPERATORS", "COLOUR SPACES", "JSON", "CSV", "EXIT STATUS", "EXAMPLES", "SEE ALSO"]  # fmt: skip
     sections = list(man_sections(name))
     assert sections == [section for section in usual if section in sections]
     for section in ("NAME", "SYNOPSIS", "DESCRIPTION", "OPTIONS", "EXIT STATUS", "SEE ALSO"):
@@ -390,6 +390,9 @@ def workplace(tmp_path, monkeypatch):
         "legend.png": layer((0.9, 0.9, 0.9))[:10, :20],
         "a.png": layer((0.8, 0.1, 0.1), rows=above, alpha=0.5),
         "b.exr": layer((0.2, 0.5, 0.2)),
+        # What earlier examples make, for later ones.
+        "map.png": layer((0.6, 0.2, 0.1)),
+        "plain.png": layer((0.6, 0.4, 0.1)),
     }
     for name, pixels in layers.items():
         hpcomp.write_image(name, pixels)
@@ -407,13 +410,18 @@ def test_every_shell_line_of_readme_is_known():
 
 @pytest.mark.parametrize("line", HPCOMP_LINES)
 def test_the_commands_of_readme_run(workplace, line):
+    outputs = re.findall(r"(?:-o|>) ([\w.]+)", line)
+    for name in outputs:
+        (workplace / name).unlink(missing_ok=True)
     inputs = set(workplace.iterdir())
     run = subprocess.run(["sh", "-c", line], capture_output=True, text=True)
     assert (run.returncode, run.stderr) == (0, "")
-    outputs = re.findall(r"(?:-o|>) ([\w.]+)", line)
     assert {path.name for path in set(workplace.iterdir()) - inputs} == set(outputs)
     for name in outputs:
-        assert hpcomp.read_layer(name).pixels.any()
+        if name.endswith((".png", ".exr")):
+            assert hpcomp.read_layer(name).pixels.any()
+        else:
+            assert (workplace / name).stat().st_size > 100
     assert bool(run.stdout) == (not outputs)
 
 
@@ -522,6 +530,12 @@ STATEMENTS = {
                     "alpha in [0, 1]", "`data_window`", "`display_window`", "Returns:", "Errors:",
                     "Warnings:"],
     "info": ["how it will be read", "Errors:", "InputError"],
+    "hue_histogram": ["`pixels`", "(…, 4)", "linear Rec. 709", "premultiplied", "float32", "degrees",
+                      "6 to 3600", "[0, 1]", "Returns:", "Errors:", "SettingError", "MismatchError"],
+    "read_hues": ["`path`", "hpcomp hues", "`nonfinite`", "`threads`", "Returns:", "Errors:",
+                  "SettingError", "InputError", "MismatchError", "Warnings:"],
+    "write_hue_report": ["`histograms`", "`output`", "`format`", "`weight`", "`scale`", "`axes`",
+                         "`clobber`", "hpcomp hues", "Errors:", "SettingError", "OutputError"],
 }  # fmt: skip
 
 

@@ -43,7 +43,9 @@ class LayerCommand(Command):
         )
         for name, value in ctx.params.items():
             if isinstance(value, tuple):
-                ctx.params[name] = tuple(str(v).removeprefix(_STDIN_MARK) for v in value)
+                ctx.params[name] = tuple(
+                    v.removeprefix(_STDIN_MARK) if isinstance(v, str) else v for v in value
+                )
         return rest
 
 

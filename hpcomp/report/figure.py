@@ -144,7 +144,7 @@ class _Sheet:
             columns = 1 if n <= 3 else 2 if n <= 8 else 3
             self.linear_width = _LINEAR_WIDTH if columns == 1 else _SMALL_LINEAR_WIDTH
             self.polar_size, self.plot_height = _POLAR_WIDTH, _PLOT_HEIGHT
-            polar_below = 0.17
+            polar_below = 0.22
         else:
             columns = min(n, _POLAR_COLUMNS)
             self.linear_width = 0.0

@@ -1,18 +1,4 @@
-"""Hue histograms as data for scripts: JSON and CSV.
-
-The JSON document has the keys `schema` ("hpcomp.hues"), `version`, then the settings of all
-histograms, `space`, `bins`, `achromatic`, `peak_radius` (degrees), and `images`, a list of
-
-    name           what the picture is called
-    pixels         all, chromatic, grey, transparent, nonfinite: counts
-    peaks          list of hue (degrees), count, share, chroma_share, rgb (linear), srgb (#rrggbb)
-    concentration  share and chroma_share within peak_radius of the peaks; entropy in bits and
-                   relative_entropy of the counts; occupied, the number of bins with a pixel
-    histogram      lists of one number for each bin: hue (degrees, the centre), count, and the sums
-                   chroma (|p|), alpha, red, green, blue (linear, premultiplied)
-
-Shares are of the chromatic pixels or of their chroma. Sums are exact multiples of 2**-24.
-"""
+"""Hue histograms as data for scripts: JSON, whose keys are in `JSON_KEYS`, and CSV."""
 
 from __future__ import annotations
 
@@ -30,6 +16,27 @@ from .look import Entry, Look, common_axis, srgb_hex
 SCHEMA = "hpcomp.hues"
 #: Version of the data; it grows when a key changes its meaning or goes.
 SCHEMA_VERSION = 1
+
+#: The keys of the JSON document; lists are of one number for each bin. The man page prints this.
+JSON_KEYS: dict[str, str] = {
+    "schema": '"hpcomp.hues".',
+    "version": "Of the schema, 1: it grows when a key changes its meaning or goes.",
+    "space": "The blending space whose hue and chroma were measured.",
+    "bins": "How many.",
+    "achromatic": "The saturation below which pixels were grey.",
+    "peak_radius": "2, the degrees around a peak that belong to it.",
+    "images": "A list with the keys that follow for each image.",
+    "name": "The name that the image was given, or its path, or `stdin`.",
+    "pixels": "Counts: `all`, and of these `chromatic`, `grey`, `transparent` and `nonfinite`.",
+    "peaks": "A list, the largest first: `hue` in degrees, of the mean colour; `count`; `share` "
+    "and `chroma_share`, of all pixels with a hue and of their chroma; the mean colour, straight, "
+    "as `rgb`, linear, and as `srgb`, `#rrggbb`.",
+    "concentration": "`share` and `chroma_share` within 2° of the peaks; `entropy` of the counts, "
+    "in bits, and `relative_entropy`, from 0 to 1; `occupied`, the number of bins with a pixel.",
+    "histogram": "Lists: `hue`, the centre of the bin in degrees; `count`; and the sums `chroma` "
+    "(|p| in the blending space), `alpha`, and `red`, `green`, `blue` (linear, premultiplied). "
+    "Sums are exact multiples of 2^-24, and those of parts of an image add up.",
+}
 
 #: Digits of what is computed from sums: the same on every machine.
 _DIGITS = 9
