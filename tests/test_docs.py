@@ -458,7 +458,7 @@ def test_the_python_examples_of_readme_print_what_they_say(workplace, capsys, nu
 
 def test_readme_has_python_examples_on_arrays_and_on_files():
     both = "".join(code_blocks("python"))
-    for name in ("composite", "stack", "read_layer", "write_image", "InputError"):
+    for name in ("composite", "stack", "read_layer", "write_image", "InputError", "hue_histogram"):
         assert f"hpcomp.{name}" in both
 
 
@@ -664,6 +664,9 @@ mixed: np.ndarray = hpcomp.composite([red, red[::-1]], blending="traditional")
 summed: np.ndarray = hpcomp.hue_add(red[:3], [0.0, 0.1, 0.2], hue_tolerance=0)
 names: list[str] = [*hpcomp.OPERATORS, *hpcomp.ORDERS, *hpcomp.SPACES]
 code: int = hpcomp.InputError.exit_code
+hues: hpcomp.HueHistogram = hpcomp.hue_histogram([red]) + hpcomp.read_hues("a.png", bins=360)
+places: list[float] = [peak.hue for peak in sum([hues, hues], hues).peaks]
+hpcomp.write_hue_report({"a": hues}, Path("hues.svg"), axes="polar")
 
 # Each of these is wrong, and a checker that saw no types would call the comment unused.
 hpcomp.stack([red], "out.png")  # type: ignore[list-item]

@@ -70,8 +70,8 @@ _TITLE, _TEXT, _SMALL, _SMALLEST = 9.0, 7.0, 6.5, 5.0
 _HOLE = 0.32
 _RING = 0.07
 
-#: The colours of the hues, in so many cells.
-_HUE_CELLS = 360
+#: Cells of the colours of the hues, straight and round.
+_STRIP_CELLS, _RING_CELLS = 360, 120
 
 _RC: dict[str, Any] = {
     "svg.hashsalt": "hpcomp",
@@ -298,7 +298,7 @@ class _Sheet:
         strip = self._axes(left, bottom - _STRIP - 0.02, self.linear_width, _STRIP)
         strip.set_xlim(self.start, self.start + 360)
         strip.set_ylim(0, 1)
-        self._hue_colors(strip, 0, 1)
+        self._hue_colors(strip, _STRIP_CELLS, 0, 1)
         strip.set_yticks([])
         places = self.axis.landmarks()
         turned = [(hue - self.start) % 360 + self.start for hue in places.values()]
@@ -308,18 +308,20 @@ class _Sheet:
         for spine in strip.spines.values():
             spine.set_visible(False)
 
-    def _hue_colors(self, axes: Any, lowest: float, highest: float, unit: float = 1) -> None:
+    def _hue_colors(
+        self, axes: Any, cells: int, lowest: float, highest: float, unit: float = 1
+    ) -> None:
         """A band of all hues on `axes`, whose x is in degrees times `unit`."""
-        width = 360 / _HUE_CELLS
-        begins = self.start + width * np.arange(_HUE_CELLS)
+        width = 360 / cells
+        begins = self.start + width * np.arange(cells)
         # Each reaches below the next, and no seam shows between them.
         ends = np.minimum(begins + 2 * width, self.start + 360)
-        cells = [
+        corners = [
             [(x * unit, y) for x, y in ((b, lowest), (e, lowest), (e, highest), (b, highest))]
             for b, e in zip(begins, ends, strict=True)
         ]
         colors = hue_colors(self.axis, begins + width / 2)
-        axes.add_collection(PolyCollection(cells, facecolors=colors, linewidth=0))
+        axes.add_collection(PolyCollection(corners, facecolors=colors, linewidth=0))
 
     def _style_ticks(self, axes: Any) -> None:
         axes.tick_params(length=2.2, width=0.6, pad=1.5, color=_INK)
@@ -354,7 +356,7 @@ class _Sheet:
                 linewidth=0.35,
             )
         )
-        self._hue_colors(axes, _HOLE - _RING - 0.01, _HOLE - 0.01, math.radians(1))
+        self._hue_colors(axes, _RING_CELLS, _HOLE - _RING - 0.01, _HOLE - 0.01, math.radians(1))
         places = self.axis.landmarks()
         axes.set_xticks(
             [math.radians(hue) for hue in places.values()],

@@ -100,8 +100,8 @@ class _Chart:
         #: Bins to a column, or columns to a bin.
         self.group = -(-bins // room)
         self.repeat = max(1, room // bins)
-        start = axis_start(axis)
-        self.first = round(start * bins / 360)
+        # Columns are centred on hues, as bins are.
+        self.first = round(axis_start(axis) * bins / 360) - (self.group - 1) // 2
         self.hues = (self.first + np.arange(bins)) * (360 / bins)
         self.colors = hue_colors(axis, self._columns(self.hues, mean=True))
         self.scale = SCALES[look.scale]
@@ -127,6 +127,12 @@ class _Chart:
             sums = sums / np.diff([*begins, len(values)])
         return np.repeat(sums, self.repeat)
 
+    def _column(self, hue: float) -> int:
+        """The column of a hue, the middle one of several."""
+        bins = len(self.hues)
+        number = (round(hue * bins / 360) - self.first) % bins
+        return number // self.group * self.repeat + self.repeat // 2
+
     def lines(self, histogram: HueHistogram) -> list[str]:
         shares = self._shares(histogram)
         heights = self.scale.heights(shares, self.top) * HEIGHT
@@ -149,10 +155,7 @@ class _Chart:
         return labels
 
     def _axis_lines(self, columns: int) -> list[str]:
-        places = {
-            round(((hue - self.hues[0]) % 360) / 360 * columns): (name, hue)
-            for name, hue in self.axis.landmarks().items()
-        }
+        places = {self._column(hue): (name, hue) for name, hue in self.axis.landmarks().items()}
         strip = ["▀" if self.look.color else "┴" if k in places else "─" for k in range(columns)]
         side = " " * (MARGIN - 1)
         lines = [side + "└" + self._painted(strip)]

@@ -1,0 +1,118 @@
+"""Hue histograms of files: read in strips, on any number of threads, with the keys of a LAYER."""
+
+import exrfile
+import numpy as np
+import pngfile
+import pytest
+
+import hpcomp
+from hpcomp import InputError, MismatchError, SettingError, hue_histogram, read_hues
+
+
+def noise(height, width, seed=5):
+    """Premultiplied pixels of every hue, some of them transparent."""
+    rng = np.random.default_rng(seed)
+    pixels = rng.random((height, width, 4), dtype=np.float32)
+    pixels[..., :3] *= pixels[..., 3:]
+    pixels[rng.random((height, width)) < 0.2] = 0
+    return pixels
+
+
+def exr(path, pixels, **options):
+    # OpenEXR writes the memory of a view, not what it shows.
+    planes = {name: pixels[..., k].copy() for k, name in enumerate("RGBA")}
+    return exrfile.write(path, planes, **options)
+
+
+@pytest.mark.parametrize("threads", [1, 2, 5])
+@pytest.mark.parametrize("height", [1, 64, 65, 300])
+@pytest.mark.parametrize("compression", ["none", "zip", "dwab"])
+def test_histogram_of_a_file_is_that_of_its_pixels(tmp_path, threads, height, compression):
+    """Blocks of 1, 16 and 256 rows."""
+    pixels = noise(height, 31)
+    path = exr(tmp_path / "a.exr", pixels, compression=compression)
+    whole = hpcomp.read_layer(path).pixels
+    assert read_hues(path, threads=threads) == hue_histogram(whole)
+    settings = {"bins": 90, "achromatic": 0.2}
+    assert read_hues(path, threads=threads, **settings) == hue_histogram(whole, **settings)
+
+
+@pytest.mark.parametrize("png", pngfile.every_kind(), ids=pngfile.name_of)
+def test_every_kind_of_png(tmp_path, png):
+    path = tmp_path / "a.png"
+    path.write_bytes(png.encode())
+    assert read_hues(path) == hue_histogram(hpcomp.read_layer(path).pixels)
+
+
+def test_keys_of_a_layer_say_how_it_is_read(tmp_path):
+    names = ["R", "G", "B", "A", "sky.R", "sky.G", "sky.B"]
+    path = exrfile.write(tmp_path / "a.exr", exrfile.planes(names, 20, 30))
+    histograms = []
+    for settings in ("", "::layer=sky", "::alpha=straight", "::colorspace=srgb"):
+        layer = f"{path}{settings}"
+        histograms.append(read_hues(layer))
+        assert histograms[-1] == hue_histogram(hpcomp.read_layer(layer).pixels)
+    for number, one in enumerate(histograms):
+        assert all(one != other for other in histograms[:number])
+
+
+@pytest.mark.parametrize("setting", ["op=in", "opacity=0.5", "at=+1+1"])
+def test_settings_that_only_a_stack_understands(setting):
+    with pytest.raises(SettingError, match=f"'{setting.partition('=')[0]}' says nothing"):
+        read_hues(f"a.png::{setting}")
+
+
+def test_pixels_that_are_not_finite(tmp_path):
+    pixels = noise(200, 10)
+    pixels[150, 3, 1] = np.nan
+    pixels[20, 7, 0] = np.inf
+    path = exr(tmp_path / "a.exr", pixels)
+    for threads in (1, 3):
+        with pytest.raises(MismatchError, match="2 pixels are NaN or infinite, the first at 7,20"):
+            read_hues(path, threads=threads)
+    kept = read_hues(path, nonfinite="keep")
+    assert kept.nonfinite == 2
+    with pytest.warns(hpcomp.HpcompWarning, match="2 pixels are NaN or infinite and became"):
+        zeroed = read_hues(path, nonfinite="zero")
+    assert (zeroed.nonfinite, zeroed.transparent) == (0, kept.transparent + 2)
+    with pytest.raises(MismatchError, match="--strict"):
+        read_hues(path, nonfinite="zero", strict=True)
+
+
+@pytest.mark.parametrize("threads", [1, 4])
+def test_damage_after_the_first_strips(tmp_path, threads):
+    path = exr(tmp_path / "a.exr", noise(400, 40))
+    data = bytearray(path.read_bytes())
+    begin, end = exrfile.regions(bytes(data))["pixels"][-1]
+    data[begin + 8 : end] = bytes(end - begin - 8)
+    path.write_bytes(data)
+    with pytest.raises(InputError, match="cannot be read, rows 384 to 399"):
+        read_hues(path, threads=threads)
+
+
+def test_the_first_failure_is_that_of_the_first_strip_on_any_number_of_threads(tmp_path):
+    pixels = noise(400, 40)
+    pixels[10, 10, 0] = np.nan
+    path = exr(tmp_path / "a.exr", pixels)
+    for threads in (1, 2, 8):
+        with pytest.raises(MismatchError, match="the first at 10,10"):
+            read_hues(path, threads=threads)
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        ({"threads": 0}, "threads 0 is below 1"),
+        ({"nonfinite": "drop"}, "unknown nonfinite policy 'drop'"),
+        ({"bins": 2}, "bins 2"),
+        ({"space": "rgb"}, "unknown blending space"),
+    ],
+)
+def test_settings_are_checked_before_the_file_is_opened(settings, words):
+    with pytest.raises(SettingError, match=words):
+        read_hues("nowhere.png", **settings)
+
+
+def test_missing_file():
+    with pytest.raises(InputError, match=r"nowhere.png: cannot be read: no such file"):
+        read_hues("nowhere.png")
