@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from .compositing import Reduction, StackRules
 from .encoding import Losses
 from .samples import Samples, Strip, cropped, encode, linear_rgba, spread
+from .terms import term, weighted
 
 Array = NDArray[np.floating[Any]]
 
@@ -75,7 +76,7 @@ class BottomUp(_Accumulator):
     def take(self, number: int, rgba: Array) -> None:
         operator = self.rules.operators[number]
         for block in _blocks(len(rgba)):
-            luminance, p, alpha = _term(self.rules, number, rgba[block])
+            luminance, p, alpha = term(self.rules, number, rgba[block])
             if operator is not None:
                 alpha_below = self.alpha[block]
                 f_a, f_b = operator.factors(alpha, alpha_below)
@@ -98,7 +99,7 @@ class FrontToBack(_Accumulator):
 
     def take(self, number: int, rgba: Array) -> None:
         for block in _blocks(len(rgba)):
-            luminance, p, alpha = _term(self.rules, number, rgba[block])
+            luminance, p, alpha = term(self.rules, number, rgba[block])
             weight = self.transmittance[block]
             self.luminance[block] += weight * luminance  # [R1]
             self.p[:, block] = self.rules.add(self.p[:, block], weight * p)
@@ -126,43 +127,17 @@ class AllLayers(_Accumulator):
 
     def _reduced(self, layers: list[Array]) -> Array:
         rules = self.rules
-        terms = [_term(rules, number, rgba) for number, rgba in enumerate(layers)]
-        alpha = terms[0][2]
-        factors: list[tuple[Any, Any]] = [(1.0, 0.0)]
-        for operator, (_, _, alpha_layer) in zip(rules.operators[1:], terms[1:], strict=True):
-            assert operator is not None
-            factors.append(operator.factors(alpha_layer, alpha))
-            alpha = operator.alpha(alpha_layer, alpha)
-        # w_i = F_A,i · Π F_B of the layers above: gathered from the top.
-        above: Any = np.ones_like(alpha)
-        weights = []
-        for f_a, f_b in reversed(factors):
-            weights.append(f_a * above)
-            above = f_b * above
-        weights.reverse()
-        luminance = np.zeros_like(alpha)
-        p = np.empty((len(terms), 2, len(alpha)), alpha.dtype)
-        for number, (weight, (luminance_layer, p_layer, _)) in enumerate(
-            zip(weights, terms, strict=True)
-        ):
-            luminance += weight * luminance_layer  # [R1]
-            p[number] = weight * p_layer
-        return _result(rules, luminance, rules.order.reduce(p, rules.add, rules.add_all), alpha)
+        terms = weighted(rules, layers)
+        luminance = np.zeros_like(terms.alpha)
+        for luminance_layer in terms.luminance:
+            luminance += luminance_layer  # [R1]
+        p = rules.order.reduce(terms.p, rules.add, rules.add_all)
+        return _result(rules, luminance, p, terms.alpha)
 
 
 def _blocks(n_pixels: int) -> Iterator[slice]:
     for begin in range(0, n_pixels, BLOCK_PIXELS):
         yield slice(begin, min(begin + BLOCK_PIXELS, n_pixels))
-
-
-def _term(rules: StackRules, number: int, rgba: Array) -> tuple[Array, Array, Array]:
-    """(Y, p, α) of layer `number` scaled by its opacity; rgba (n, 4) → (n), (2, n), (n)."""
-    planes = np.ascontiguousarray(rgba.T)
-    opacity = rules.opacities[number]
-    if opacity != 1:
-        planes = planes * opacity
-    luminance, p = rules.space.forward(planes[:3])
-    return luminance, p, planes[3]
 
 
 def _result(rules: StackRules, luminance: Array, p: Array, alpha: Array) -> Array:

@@ -1,0 +1,64 @@
+"""The weighted terms of a stack: what the operators' weights leave of each layer. No reduction.
+
+The colour of any stack is a reduction of the terms `w_i c_i`, and the weights depend on alphas
+alone. Planes first: Y (n), p (2, n), α (n).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .compositing import StackRules
+
+Array = NDArray[np.floating[Any]]
+
+
+@dataclass(frozen=True)
+class Terms:
+    """The terms of a stack, bottom first: `weights` w (n, pixels), Y scaled by w, p scaled by w.
+
+    `luminance`: (n, pixels). `p`: (n, 2, pixels). `alpha`: (pixels), of the whole stack.
+    """
+
+    weights: Array
+    luminance: Array
+    p: Array
+    alpha: Array
+
+
+def term(rules: StackRules, number: int, rgba: Array) -> tuple[Array, Array, Array]:
+    """(Y, p, α) of layer `number` scaled by its opacity; rgba (n, 4) → (n), (2, n), (n)."""
+    planes = np.ascontiguousarray(rgba.T)
+    opacity = rules.opacities[number]
+    if opacity != 1:
+        planes = planes * opacity
+    luminance, p = rules.space.forward(planes[:3])
+    return luminance, p, planes[3]
+
+
+def weighted(rules: StackRules, layers: Sequence[Array]) -> Terms:
+    """The terms of `layers`, each (pixels, 4), linear, premultiplied, alpha in [0, 1]."""
+    found = [term(rules, number, rgba) for number, rgba in enumerate(layers)]
+    alpha = found[0][2]
+    factors: list[tuple[Any, Any]] = [(1.0, 0.0)]
+    for operator, (_, _, alpha_layer) in zip(rules.operators[1:], found[1:], strict=True):
+        assert operator is not None
+        factors.append(operator.factors(alpha_layer, alpha))
+        alpha = operator.alpha(alpha_layer, alpha)
+    # w_i = F_A,i · Π F_B of the layers above: gathered from the top.
+    above: Any = np.ones_like(alpha)
+    weights = np.empty((len(found), len(alpha)), alpha.dtype)
+    luminance = np.empty_like(weights)
+    p = np.empty((len(found), 2, len(alpha)), alpha.dtype)
+    for number in reversed(range(len(found))):
+        f_a, f_b = factors[number]
+        weights[number] = f_a * above
+        above = f_b * above
+        luminance[number] = weights[number] * found[number][0]
+        p[number] = weights[number] * found[number][1]
+    return Terms(weights, luminance, p, alpha)
