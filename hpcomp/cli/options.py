@@ -43,14 +43,18 @@ class LayerCommand(Command):
         )
         for name, value in ctx.params.items():
             if isinstance(value, tuple):
-                ctx.params[name] = tuple(
-                    v.removeprefix(_STDIN_MARK) if isinstance(v, str) else v for v in value
-                )
+                ctx.params[name] = tuple(map(_as_typed, value))
+            else:
+                ctx.params[name] = _as_typed(value)
         return rest
 
 
 #: A character of Unicode's private use, which no file name begins with.
 _STDIN_MARK = "\U000f0000"
+
+
+def _as_typed(value: Any) -> Any:
+    return value.removeprefix(_STDIN_MARK) if isinstance(value, str) else value
 
 
 def _show_messages(ctx: click.Context, param: click.Parameter, value: bool) -> bool:

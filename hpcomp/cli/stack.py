@@ -6,13 +6,11 @@ from typing import Any
 
 import click
 
-from ..addition import BLENDINGS, DEFAULT_HUE_TOLERANCE
-from ..orders import ORDERS
-from ..porter_duff import OPERATOR_NAMES, OPERATORS
-from ..spaces import SPACES
+from ..porter_duff import OPERATORS
 from ..stackfile import LAYER_KEYS
 from .options import LayerCommand, message_options
 from .signals import load
+from .stackoptions import stack_options
 
 LAYER_HELP = f"""Composite layers, bottom first, into one picture.
 
@@ -53,44 +51,7 @@ argument is an existing file; a value holds no comma. Keys: {", ".join(LAYER_KEY
     type=click.Choice(["png", "exr"]),
     help="Format of an output without an ending.",
 )
-@click.option(
-    "--op",
-    type=click.Choice(OPERATOR_NAMES),
-    default="over",
-    show_default=True,
-    metavar="OPERATOR",
-    help="Operator of the layers that name none.",
-)
-@click.option(
-    "--blending",
-    type=click.Choice(list(BLENDINGS)),
-    default="hue-preserving",
-    show_default=True,
-    help="How colours are added.",
-)
-@click.option(
-    "--order",
-    default="bottom-up",
-    show_default=True,
-    metavar="ORDER",
-    help=f"In which order the layers' colours are added: {', '.join(ORDERS)}, "
-    "or a permutation such as 2,0,1.",
-)
-@click.option(
-    "--space",
-    type=click.Choice(list(SPACES)),
-    default="linear-rgb",
-    show_default=True,
-    help="Blending space.",
-)
-@click.option(
-    "--hue-tolerance",
-    type=float,
-    default=DEFAULT_HUE_TOLERANCE,
-    show_default=True,
-    metavar="DEGREES",
-    help="Hues closer than this, 0 to 90, are equal; 0 is the paper's operator.",
-)
+@stack_options("op", "blending", "order", "space", "hue_tolerance")
 @click.option(
     "--depth",
     type=click.Choice(["8", "16", "half", "float"]),
@@ -102,14 +63,7 @@ argument is an existing file; a value holds no comma. Keys: {", ".join(LAYER_KEY
     help="PNG: fast (default), small, 0…9. EXR: zip (default), none, rle, zips, piz, pxr24, b44, "
     "b44a, dwaa, dwab, htj2k256, htj2k32.",
 )
-@click.option(
-    "--exposure",
-    type=float,
-    default=0.0,
-    show_default=True,
-    metavar="STOPS",
-    help="Brighten or darken the result.",
-)
+@stack_options("exposure")
 @click.option("--region", metavar="WxH+X+Y", help="Make only this part of the canvas.")
 @click.option(
     "--clobber/--no-clobber",
@@ -117,23 +71,7 @@ argument is an existing file; a value holds no comma. Keys: {", ".join(LAYER_KEY
     show_default=True,
     help="Replace an existing output.",
 )
-@click.option(
-    "--canvas",
-    default="bottom",
-    show_default=True,
-    metavar="CANVAS",
-    help="bottom (the bottom layer's display window), union, intersection, or WxH+X+Y.",
-)
-@click.option("--overscan", is_flag=True, help="EXR: keep pixels beyond the canvas.")
-@click.option("--background", metavar="COLOR", help="Put a CSS hex colour under the result.")
-@click.option(
-    "--nonfinite",
-    type=click.Choice(["error", "zero", "keep"]),
-    default="error",
-    show_default=True,
-    help="NaN and Inf in a layer: error (refuse it), zero (the pixel becomes transparent), keep.",
-)
-@click.option("--strict", is_flag=True, help="Treat warnings as errors.")
+@stack_options("canvas", "overscan", "background", "nonfinite", "strict")
 @click.option(
     "--threads",
     type=click.IntRange(min=1),
