@@ -119,11 +119,20 @@ def sum_simultaneous(p: Array, hue_tolerance: float) -> Array:
 
 def _rivals_scaled_sum(p: Array, hue_tolerance: float) -> Array:
     """The simultaneous rule for p (n, 2, pixels), every |p| > 0."""
-    n, _, pixels = p.shape
-    if n == 1:
+    if len(p) == 1:
         return p[0]
+    s = 1 - rivalry(p, hue_tolerance).max(axis=1)
+    total = np.zeros_like(p[0])
+    for scale, term in zip(s, p, strict=True):
+        total += scale * term
+    return total
+
+
+def rivalry(p: Array, hue_tolerance: float) -> Array:
+    """(n, n, pixels): what share of term i its rival j would cancel; p (n, 2, pixels), |p| > 0."""
+    n = len(p)
     m = chroma(p.swapaxes(0, 1))
-    e = np.ones((n, n, pixels), p.dtype)
+    e = np.ones((n, n, p.shape[2]), p.dtype)
     for i in range(n):
         for j in range(i):
             e[i, j] = e[j, i] = shoulder(p[i], p[j], hue_tolerance)
@@ -136,11 +145,7 @@ def _rivals_scaled_sum(p: Array, hue_tolerance: float) -> Array:
         near += np.minimum(m, m[k])
     rival = np.minimum(support.swapaxes(0, 1), near[None, :])
     q = _ratio(np.minimum(rival, support), support)  # min(1, q) of the text
-    s = 1 - ((1 - e) * q).max(axis=1)
-    total = np.zeros_like(p[0])
-    for i in range(n):
-        total += s[i] * p[i]
-    return total
+    return (1 - e) * q
 
 
 def sum_traditional(p: Array, hue_tolerance: float) -> Array:

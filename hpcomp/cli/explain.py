@@ -1,0 +1,63 @@
+"""`hpcomp explain`: how one pixel of a stack comes about, as text or JSON."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import click
+
+from .options import message_options, print_data
+from .signals import load
+from .stackoptions import LayerCommand, layer_arguments, stack_options
+
+SHORT_HELP = "Say step by step how one pixel of a stack comes about."
+
+
+@click.command("explain", cls=LayerCommand, short_help=SHORT_HELP)
+@click.argument(
+    "layers", metavar="LAYER...", nargs=-1, required=True, type=click.Path(readable=False)
+)
+@click.option(
+    "--at",
+    required=True,
+    metavar="X,Y",
+    help="The pixel, in coordinates of the canvas; 0,0 is its top left corner, unless the files "
+    "say otherwise.",
+)
+@stack_options("op", "blending", "order", "space", "hue_tolerance")
+@click.option(
+    "--foreign-tolerance",
+    type=float,
+    metavar="DEGREES",
+    help="A hue this near to a layer's is that layer's: twice the hue tolerance if not given.",
+)
+@stack_options("exposure", "canvas", "overscan", "background", "nonfinite", "strict")
+@click.option(
+    "--format",
+    type=click.Choice(["text", "json"]),
+    default="text",
+    show_default=True,
+    help="What to print.",
+)
+@message_options
+def command(layers: tuple[str, ...], at: str, format: str, **options: Any) -> None:
+    """Say step by step how one pixel of a stack comes about.
+
+    LAYER and the options are those of `hpcomp stack`, and the result is what it would write.
+    For each layer: the stored sample, its linear colour, what opacity and operators leave of it,
+    its hue and chroma. Then who met whom in the blend order, how far apart their hues are and which
+    one dominated; the result, the traditional one beside it, and what became of the labels.
+    Chroma is |p|, the distance from the grey axis. Grey is the share of chroma that is cancelled,
+    margin how far the runner-up of another hue was from the layer whose hue survived.
+
+    \b
+      hpcomp explain base.png roads.png --at 30,20
+      hpcomp explain base.png roads.png rivers.exr --at 30,20 --order top-down --format json
+    """
+    explanation, report = load("hpcomp.explanation"), load("hpcomp.report.explanation")
+    pixel = explanation.explain(layer_arguments(layers), at, **options)
+    if format == "json":
+        print_data(json.dumps(report.as_data(pixel), indent=2))
+    else:
+        print_data(report.as_text(pixel))
