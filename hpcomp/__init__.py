@@ -5,13 +5,16 @@ Chuang, Weiskopf, Möller: Hue-Preserving Color Blending, IEEE TVCG 15(6), 2009.
 
     composite         stack of arrays (…, 4) -> array
     hue_add           c1 ⊕ c2 of colours (…, 3)
+    hue_histogram     pixels (…, 4) -> how many have which hue
+    stack_measures    what compositing arrays does to their hues, in numbers
     stack             layer files -> one file, as `hpcomp stack`
     read_layer        one layer of a file -> pixels and windows
     write_image       pixels -> a file
     info              what a file holds and how it will be read
-    hue_histogram     pixels (…, 4) -> how many have which hue
-    read_hues         the same of a file, strip by strip
+    read_hues         the hue histogram of a file, strip by strip
     write_hue_report  histograms -> text, JSON, CSV or a figure, as `hpcomp hues`
+    explain           how one pixel of a stack of files comes about
+    check             a picture against the layers it was made from, by rules
 
 Names are imported on first use, so that importing the package costs nothing.
 """
@@ -22,6 +25,8 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.1.0"
 
 if TYPE_CHECKING:
+    from .checking import CheckResult as CheckResult
+    from .checking import check as check
     from .compositing import composite as composite
     from .compositing import hue_add as hue_add
     from .encoding import Losses as Losses
@@ -33,12 +38,16 @@ if TYPE_CHECKING:
     from .errors import MismatchError as MismatchError
     from .errors import OutputError as OutputError
     from .errors import SettingError as SettingError
+    from .explanation import PixelExplanation as PixelExplanation
+    from .explanation import explain as explain
     from .geometry import Window as Window
     from .histogram import HueHistogram as HueHistogram
     from .histogram import hue_histogram as hue_histogram
     from .imagefile import ImageFile as ImageFile
     from .imagefile import LayerImage as LayerImage
     from .measuring import read_hues as read_hues
+    from .measures import StackMeasures as StackMeasures
+    from .measures import stack_measures as stack_measures
     from .orders import ORDERS as ORDERS
     from .pipeline import StackResult as StackResult
     from .pipeline import info as info
@@ -52,6 +61,8 @@ if TYPE_CHECKING:
 
 # Where each name lives; the imports above say the same to type checkers.
 _HOME = {
+    "CheckResult": ".checking",
+    "check": ".checking",
     "composite": ".compositing",
     "hue_add": ".compositing",
     "Losses": ".encoding",
@@ -63,12 +74,16 @@ _HOME = {
     "MismatchError": ".errors",
     "OutputError": ".errors",
     "SettingError": ".errors",
+    "PixelExplanation": ".explanation",
+    "explain": ".explanation",
     "Window": ".geometry",
     "HueHistogram": ".histogram",
     "hue_histogram": ".histogram",
     "ImageFile": ".imagefile",
     "LayerImage": ".imagefile",
     "read_hues": ".measuring",
+    "StackMeasures": ".measures",
+    "stack_measures": ".measures",
     "ORDERS": ".orders",
     "StackResult": ".pipeline",
     "info": ".pipeline",

@@ -100,12 +100,13 @@ def check_energy_weights(weights: Sequence[float]) -> tuple[float, float, float]
 # --- sums -----------------------------------------------------------------------------------------
 
 
-def _share(part: float, whole: float) -> float:
+def share(part: float, whole: float) -> float:
+    """part / whole, and 0 where there is nothing."""
     return part / whole if whole else 0.0
 
 
 @dataclass(frozen=True)
-class _Sums:
+class Sums:
     """Integers, tuples of them and other sums that add up field by field."""
 
     def __add__(self, other: Self) -> Self:
@@ -129,7 +130,7 @@ def _added(a: Any, b: Any) -> Any:
 
 
 @dataclass(frozen=True)
-class ContributorMeasures(_Sums):
+class ContributorMeasures(Sums):
     """What became of one layer, or of the background.
 
     `pixels`: where it contributes. `survived`: those of them where the result has its hue.
@@ -144,16 +145,16 @@ class ContributorMeasures(_Sums):
     @property
     def survived_share(self) -> float:
         """The share of its pixels in which its hue survived."""
-        return _share(self.survived, self.pixels)
+        return share(self.survived, self.pixels)
 
     @property
     def lost(self) -> float:
         """The share of its chroma that blending cancelled."""
-        return _share(self.chroma - self.kept, self.chroma)
+        return share(self.chroma - self.kept, self.chroma)
 
 
 @dataclass(frozen=True)
-class ResultMeasures(_Sums):
+class ResultMeasures(Sums):
     """One way to reduce the terms, measured against them.
 
     `chromatic`: pixels that have a hue, `chroma` their Σ|p| in `SUM_UNIT`; `foreign` and
@@ -172,12 +173,12 @@ class ResultMeasures(_Sums):
     @property
     def foreign_share(self) -> float:
         """The share of chromatic pixels whose hue is nobody's."""
-        return _share(self.foreign, self.chromatic)
+        return share(self.foreign, self.chromatic)
 
     @property
     def foreign_chroma_share(self) -> float:
         """The same, each pixel weighted by its chroma."""
-        return _share(self.foreign_chroma, self.chroma)
+        return share(self.foreign_chroma, self.chroma)
 
     @property
     def lost(self) -> float:
@@ -195,7 +196,7 @@ class ResultMeasures(_Sums):
 
 
 @dataclass(frozen=True)
-class StackMeasures(_Sums):
+class StackMeasures(Sums):
     """The measures of a stack, of one picture or a part of it: `a + b` are those of both parts.
 
     `pixels`: all of them; `unmeasured`: with NaN, infinite or beyond `LARGEST_MEASURED`, left out
@@ -219,7 +220,7 @@ class StackMeasures(_Sums):
     @property
     def order_sensitivity(self) -> float:
         """The share of chromatic pixels whose surviving layer depends on the order."""
-        return _share(self.order_sensitive, self.result.chromatic)
+        return share(self.order_sensitive, self.result.chromatic)
 
 
 @dataclass(frozen=True)
@@ -282,13 +283,12 @@ def measured(
 
     `layers`: (layers, pixels, 4) float32, linear, premultiplied, placed, alpha in [0, 1].
     """
-    count = len(layers[0])
-    provenance = Provenance(
-        np.zeros(count, np.uint32), np.zeros(count, np.float32), np.zeros(count, np.float32)
-    )
+    n_pixels = len(layers[0])
+    grey, margin = np.zeros((2, n_pixels), np.float32)
+    provenance = Provenance(np.zeros(n_pixels, np.uint32), grey, margin)
     total = StackMeasures.none(rules, settings)
-    for begin in range(0, count, BLOCK_PIXELS):
-        block = slice(begin, min(begin + BLOCK_PIXELS, count))
+    for begin in range(0, n_pixels, BLOCK_PIXELS):
+        block = slice(begin, min(begin + BLOCK_PIXELS, n_pixels))
         with np.errstate(all="ignore"):  # what is not finite is left out below
             pixels = contributors(rules, [layer[block] for layer in layers])
         found, winners = _measured_block(rules, settings, pixels)
@@ -316,7 +316,7 @@ class Contributors:
 
     def total(self) -> Array:
         """Σ|t|, (pixels)."""
-        return _summed(self.size)
+        return summed(self.size)
 
     def reduced(self, rules: StackRules, order: str | None = None) -> Array:
         """The chroma p (2, pixels) of the stack, in its own or another order."""
@@ -353,7 +353,7 @@ def length(x: Array, y: Array) -> Array:
     return np.sqrt(x * x + y * y)
 
 
-def _summed(values: Array) -> Array:
+def summed(values: Array) -> Array:
     """(terms, pixels) → (pixels), added from the bottom in the type of the values."""
     return reduce(np.add, values)
 
@@ -366,10 +366,12 @@ class Angle:
     cosine: Any
 
     @staticmethod
-    def of(degrees: float) -> Angle:
+    def of(degrees: float | NDArray[Any]) -> Angle:
+        """The tolerance in degrees, 0 to 180: one number, or one for each pixel."""
+        radians = np.radians(degrees)
         # At a half turn the sine is 0 by no rounding: every hue is within.
-        return Angle(math.sin(math.radians(degrees)) if degrees < 180 else 0.0,
-                     math.cos(math.radians(degrees)))  # fmt: skip
+        sine = np.where(radians < math.pi, np.sin(radians), 0.0)
+        return Angle(np.float32(sine), np.float32(np.cos(radians)))
 
     def holds(self, p1: Array, p2: Array) -> Mask:
         """Whether the hues of p1 and p2 (2, …) are no farther apart; true where one has none."""
@@ -398,7 +400,7 @@ class Support:
         tolerance = Angle.of(settings.foreign_tolerance)
         size = length(p[0], p[1])
         near = np.array([tolerance.holds(p, term) for term in pixels.p])
-        backing = _summed(np.where(near, pixels.size, np.float32(0)))
+        backing = summed(np.where(near, pixels.size, np.float32(0)))
         has_hue = (size > settings.half_step) & (backing > settings.half_step)
         return Support(size, near, backing, has_hue)
 
@@ -430,13 +432,13 @@ def _measured_block(
             ).winner(pixels)
             for order in ("bottom-up", "top-down")
         )
-        sensitive = _count(chromatic & (upward != downward))
+        sensitive = count(chromatic & (upward != downward))
     measures = StackMeasures(
         settings,
         result,
         traditional,
         pixels=pixels.known.size,
-        unmeasured=_count(~pixels.known),
+        unmeasured=count(~pixels.known),
         order_sensitive=sensitive,
     )
     return measures, _provenance(settings, pixels, support)
@@ -450,8 +452,8 @@ def _result_measures(
     support: Support,
 ) -> tuple[ResultMeasures, Mask]:
     """The measures of the result p (2, pixels), and which pixels are chromatic."""
-    rgb = rules.space.inverse(_summed(pixels.luminance), p)
-    chromatic = (support.size > settings.half_step) & _is_saturated(rgb, settings.achromatic)
+    rgb = rules.space.inverse(summed(pixels.luminance), p)
+    chromatic = (support.size > settings.half_step) & is_saturated(rgb, settings.achromatic)
     foreign = chromatic & ~support.has_hue
     # Those of the surviving hue share what is left of it; what goes beyond them, as + makes it, is
     # the others'. So the losses of all add up to Σ|t| − |p|, and none is below 0.
@@ -462,8 +464,8 @@ def _result_measures(
         contributes = size > settings.half_step
         rows.append(
             ContributorMeasures(
-                pixels=_count(contributes),
-                survived=_count(contributes & chromatic & near),
+                pixels=count(contributes),
+                survived=count(contributes & chromatic & near),
                 chroma=in_units(size),
                 kept=in_units(size * np.where(near, of_near, of_others)),
             )
@@ -472,9 +474,9 @@ def _result_measures(
     found = ResultMeasures(
         tuple(rows[: pixels.n_layers]),
         rows[-1] if len(rows) > pixels.n_layers else ContributorMeasures(),
-        chromatic=_count(chromatic),
+        chromatic=count(chromatic),
         chroma=in_units(support.size[chromatic]),
-        foreign=_count(foreign),
+        foreign=count(foreign),
         foreign_chroma=in_units(support.size[foreign]),
         light=(red, green, blue),
     )
@@ -507,11 +509,11 @@ def _part(numerator: Array, denominator: Array) -> Array:
     return np.clip(quotient, 0, 1, out=quotient)
 
 
-def _count(mask: Mask) -> int:
+def count(mask: Mask) -> int:
     return int(np.count_nonzero(mask))
 
 
-def _is_saturated(rgb: Array, achromatic: float) -> Mask:
+def is_saturated(rgb: Array, achromatic: float) -> Mask:
     """Whether the saturation, (max − min) / max(|max|, |min|), is `achromatic` or more."""
     largest = np.maximum(np.maximum(rgb[0], rgb[1]), rgb[2])
     smallest = np.minimum(np.minimum(rgb[0], rgb[1]), rgb[2])

@@ -123,7 +123,7 @@ def meaning(pixel: PixelExplanation, outcome: Outcome) -> str:
         "background": f"the background keeps its hue; {cancelled}",
         "foreign": f"the hue{_hue(outcome.hue, ' ')} is nobody's; {cancelled}",
         "grey": "the hues cancel to grey",
-        "colorless": "no layer has a hue here",
+        "colorless": "no layer brings any chroma here",
         "unmeasured": "values without a hue, such as NaN, were let through",
     }[outcome.kind]
 
@@ -229,9 +229,9 @@ def _meeting_line(step: Meeting) -> str:
     after = f"chroma {before} become {_short(step.chroma)}{_hue(step.hue, ', hue ')}"
     if step.angle is None:
         if not step.chroma_first and not step.chroma_second:
-            return f"{first} meets {second}: neither has a hue"
+            return f"{first} meets {second}: neither brings any chroma"
         grey, other = (first, second) if not step.chroma_first else (second, first)
-        return f"{first} meets {second}: {grey} has no hue, {other} keeps its own; {after}"
+        return f"{first} meets {second}: {grey} brings no chroma, {other} keeps its own; {after}"
     said = f"{first} meets {second}, {step.angle:.1f}° apart: "
     if step.equality is None:
         return said + f"added as they are; {after}"

@@ -1,0 +1,109 @@
+"""`hpcomp check`: measures a picture against its layers or hues, and ends with a verdict."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import click
+
+from ..errors import ExitCode
+from .messages import say
+from .options import message_options, print_data
+from .signals import load
+from .stackoptions import LayerCommand, layer_arguments, stack_options
+
+SHORT_HELP = "Fail if a picture has lost the hues of the layers it was made from."
+
+
+@click.command("check", cls=LayerCommand, short_help=SHORT_HELP)
+@click.argument("image", metavar="IMAGE", type=click.Path(readable=False))
+@click.argument("layers", metavar="[LAYER...]", nargs=-1, type=click.Path(readable=False))
+@click.option(
+    "--hues",
+    metavar="HUE,HUE...",
+    help="Check against these hues instead of layers: degrees, 0 red, 60 yellow, 120 green, "
+    "240 blue, of the linear colour.",
+)
+@click.option(
+    "--max-foreign",
+    metavar="SHARE",
+    help="Fail if more of the chromatic pixels have a hue that no layer gave them: 0.01 or 1%.",
+)
+@click.option(
+    "--max-grey",
+    metavar="SHARE",
+    help="Fail if more of the layers' chroma was cancelled; against hues, if more of the visible "
+    "pixels are grey.",
+)
+@click.option(
+    "--require-hue",
+    multiple=True,
+    metavar="LABEL",
+    help="Fail if this label is not visible: degrees such as 120, layer:1, or layer:NAME. May be "
+    "repeated.",
+)
+@click.option(
+    "--visible",
+    default="0.1%",
+    show_default=True,
+    metavar="SHARE",
+    help="A label is visible if this much of where it could be has its hue: of the pixels to which "
+    "its layer contributes, or of all chromatic pixels.",
+)
+@click.option(
+    "--foreign-tolerance",
+    type=float,
+    metavar="DEGREES",
+    help="A hue this near to a layer's is that layer's: twice the hue tolerance if not given.",
+)
+@click.option(
+    "--achromatic",
+    type=float,
+    default=0.02,
+    show_default=True,
+    metavar="SATURATION",
+    help="Pixels of less saturation, 0 to 1, are grey.",
+)
+@stack_options(
+    "op", "space", "hue_tolerance", "exposure", "canvas", "background", "nonfinite", "strict"
+)
+@click.option(
+    "--format",
+    type=click.Choice(["text", "json"]),
+    default="text",
+    show_default=True,
+    help="What to print.",
+)
+@message_options
+@click.pass_context
+def command(
+    ctx: click.Context, /, image: str, layers: tuple[str, ...], format: str, **options: Any
+) -> None:
+    """Fail if a picture has lost the hues of the layers it was made from.
+
+    IMAGE is the picture, LAYER and the options are those that `hpcomp stack` made it with; instead
+    of layers, --hues lists what is allowed. At least one of --max-foreign, --max-grey and
+    --require-hue is needed. The exit code is 6 if a rule does not hold, with a line on stderr
+    for each that does not.
+
+    A hue is foreign if it is farther than the tolerance from that of every layer that contributes
+    to that very pixel. What the file's own samples leave uncertain is allowed for: half a code
+    value of each channel, half a unit in the last place of a half-float. Lossy compression is not.
+
+    \b
+      hpcomp check map.png base.png roads.png rivers.exr --max-foreign 0.1%
+      hpcomp check map.png base.png roads.png rivers.exr --require-hue layer:roads
+      hpcomp check map.png --hues 0,120,235 --max-foreign 1% --format json
+    """
+    checking, report = load("hpcomp.checking"), load("hpcomp.report.check")
+    picture, *below = layer_arguments([image, *layers])
+    result = checking.check(picture, below, **options)
+    if format == "json":
+        print_data(json.dumps(report.as_data(result), indent=2))
+    else:
+        print_data(report.as_text(result))
+    for line in report.failures(result):
+        say(f"hpcomp: {line}")
+    if not result.passed:
+        ctx.exit(int(ExitCode.CHECK))
