@@ -78,15 +78,18 @@ def as_text(
         ("order sensitivity", f"{measures.order_sensitivity:.3%}", ""),
     ]
     contributors = [
-        (label, *(r.layers[number] for r in both)) for number, label in enumerate(labels)
+        (label, measures.result.layers[number], measures.traditional.layers[number])
+        for number, label in enumerate(labels)
     ]
     if measures.result.background.chroma:
-        contributors.append(("background", *(r.background for r in both)))
-    for label, ours, theirs in contributors:
-        rows.append(
-            (f"{label}: hue survived", *(f"{c.survived_share:.3%}" for c in (ours, theirs)))
+        contributors.append(
+            ("background", measures.result.background, measures.traditional.background)
         )
-        rows.append((f"{label}: lost to grey", *(f"{c.lost:.3%}" for c in (ours, theirs))))
+    for label, ours, plain in contributors:
+        rows += [
+            (f"{label}: hue survived", f"{ours.survived_share:.3%}", f"{plain.survived_share:.3%}"),
+            (f"{label}: lost to grey", f"{ours.lost:.3%}", f"{plain.lost:.3%}"),
+        ]
     widths = [max(len(cell) for cell in column) for column in zip(*rows, strict=True)]
     return "\n".join(
         printable(f"{row[0]:<{widths[0]}}  {row[1]:>{widths[1]}}  {row[2]:>{widths[2]}}".rstrip())
