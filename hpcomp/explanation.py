@@ -422,7 +422,7 @@ def _outcome(
         return Outcome(rgba, srgb, None, math.nan, "unmeasured", None, 0.0, 0.0)
     p = found.reduced(rules)
     support = Support.of(p, found, settings)
-    winner = int(support.winner(found)[0])
+    winner = int(support.winner(found, settings.half_step)[0])
     _, provenance = measured(rules, settings, [np.asarray(pixel) for pixel in pixels])
     if not found.total()[0] > settings.half_step:
         kind = "colorless"

@@ -404,12 +404,15 @@ class Support:
         has_hue = (size > settings.half_step) & (backing > settings.half_step)
         return Support(size, near, backing, has_hue)
 
-    def winner(self, pixels: Contributors) -> NDArray[np.int64]:
-        """The number of the layer whose hue survived, −1 for none; the lower of two equal ones."""
+    def winner(self, pixels: Contributors, half_step: float) -> NDArray[np.int64]:
+        """The number of the layer whose hue survived, −1 for none; the lower of two equal ones.
+
+        None survived where the hue is the background's alone.
+        """
         n = pixels.n_layers
         theirs = np.where(self.near[:n], pixels.size[:n], np.float32(0))
-        found = theirs.argmax(axis=0)
-        return np.where(self.has_hue & (theirs.max(axis=0) > 0), found, -1)
+        survived = self.has_hue & (summed(theirs) > half_step)
+        return np.where(survived, theirs.argmax(axis=0), -1)
 
 
 def _measured_block(
@@ -429,7 +432,7 @@ def _measured_block(
                 support
                 if rules.order is ORDERS[order]
                 else Support.of(pixels.reduced(rules, order), pixels, settings)
-            ).winner(pixels)
+            ).winner(pixels, settings.half_step)
             for order in ("bottom-up", "top-down")
         )
         sensitive = count(chromatic & (upward != downward))
@@ -484,7 +487,7 @@ def _result_measures(
 
 
 def _provenance(settings: MeasureSettings, pixels: Contributors, support: Support) -> Provenance:
-    winner = support.winner(pixels)
+    winner = support.winner(pixels, settings.half_step)
     there = winner >= 0
     columns = np.arange(len(winner))
     of_winner = pixels.size[winner, columns]

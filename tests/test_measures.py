@@ -385,17 +385,13 @@ def test_the_same_stacks_are_mostly_foreign_when_added_as_usual():
 # ---- a literal second opinion --------------------------------------------------------------------
 
 
-def difference(c):
-    return oracle.difference(c)
-
-
 def literal(layers, settings, **job):
     """The measures of one pixel in plain Python, from the oracle's terms and composites."""
     scaled = oracle.as_read(layers, job["opacities"])
     weights, alpha = oracle.weights([a for _, a in scaled], job["ops"])
-    terms = [difference(oracle.scaled(w, c)) for w, (c, _) in zip(weights, scaled, strict=True)]
+    terms = [oracle.difference(oracle.scaled(w, c)) for w, (c, _) in zip(weights, scaled, strict=True)]
     if job["background"] is not None:
-        terms.append(difference(oracle.scaled(1 - alpha, job["background"])))
+        terms.append(oracle.difference(oracle.scaled(1 - alpha, job["background"])))
     sizes = [oracle.length(t) for t in terms]
     tolerance, step = math.radians(settings.foreign_tolerance), settings.half_step
 
@@ -411,10 +407,10 @@ def literal(layers, settings, **job):
         if oracle.length(d) <= step or backing <= step:
             return None
         ours = [(m, -i) for i, (m, n) in enumerate(zip(sizes[: len(layers)], support, strict=False)) if n]
-        return -max(ours)[1] if ours else None
+        return -max(ours)[1] if sum(m for m, _ in ours) > step else None
 
     def result(c):
-        d = difference(c)
+        d = oracle.difference(c)
         size, support = oracle.length(d), near(d)
         backing = sum(m for m, n in zip(sizes, support, strict=True) if n)
         saturation = (max(c) - min(c)) / max(abs(max(c)), abs(min(c)), 1e-300)
@@ -437,7 +433,7 @@ def literal(layers, settings, **job):
 
     ours, plain = composite(), composite(blending="traditional")
     found = result(ours)
-    winner = survivor(difference(ours))
+    winner = survivor(oracle.difference(ours))
     rivals = [
         m
         for t, m in zip(terms, sizes, strict=True)
@@ -450,8 +446,8 @@ def literal(layers, settings, **job):
         "traditional": result(plain),
         "sensitive": job["blending"] != "traditional"
         and found["chromatic"]
-        and survivor(difference(composite(order="bottom-up")))
-        != survivor(difference(composite(order="top-down"))),
+        and survivor(oracle.difference(composite(order="bottom-up")))
+        != survivor(oracle.difference(composite(order="top-down"))),
         "layer": 0 if winner is None else winner + 1,
         "grey": 1 - min(1, found["size"] / sum(sizes)) if sum(sizes) else 0,
         "margin": 0 if winner is None else 1 - max(rivals, default=0) / sizes[winner],
