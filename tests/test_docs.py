@@ -413,6 +413,8 @@ def test_the_commands_of_readme_run(workplace, line):
     outputs = re.findall(r"(?:-o|>) ([\w.]+)", line)
     for name in outputs:
         (workplace / name).unlink(missing_ok=True)
+    if line.startswith("hpcomp check map.png"):  # that of the first example
+        hpcomp.stack(["base.png", "roads.png::opacity=0.6", "rivers.exr"], "map.png")
     inputs = set(workplace.iterdir())
     run = subprocess.run(["sh", "-c", line], capture_output=True, text=True)
     assert (run.returncode, run.stderr) == (0, "")
@@ -536,6 +538,12 @@ STATEMENTS = {
                   "SettingError", "InputError", "MismatchError", "Warnings:"],
     "write_hue_report": ["`histograms`", "`output`", "`format`", "`weight`", "`scale`", "`axes`",
                          "`clobber`", "hpcomp hues", "Errors:", "SettingError", "OutputError"],
+    "stack_measures": ["(…, 4)", "linear", "premultiplied", "degrees", "Returns:", "Errors:",
+                       "SettingError", "MismatchError", "Chuang et al. 2009"],
+    "explain": ["`layers`", "`at`", "canvas", "degrees", "linear", "premultiplied", "Returns:",
+                "Errors:", "SettingError", "InputError", "MismatchError", "Warnings:"],
+    "check": ["`image`", "`layers`", "`hues`", "`max_foreign`", "`max_grey`", "`require_hue`",
+              "[0, 1]", "degrees", "Returns:", "Errors:", "SettingError", "Warnings:"],
 }  # fmt: skip
 
 

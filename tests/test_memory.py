@@ -191,6 +191,31 @@ def test_number_of_layers_does_not_matter(peak, order, threads):
     assert many - few <= 20 * 1.0
 
 
+def check_peak(picture, layers):
+    """The peak of `hpcomp check`, in MiB."""
+    done = subprocess.run(
+        command(
+            "check", picture, *layers, "--max-foreign", "1",
+            through=[sys.executable, "-ISc", MEASURE],
+        ),
+        capture_output=True, text=True, timeout=PATIENCE_S,
+    )  # fmt: skip
+    *_, last = done.stdout.splitlines()
+    peak, code = last.split()
+    assert (int(code), done.stderr) == (0, "")
+    return int(peak) / MIB
+
+
+@pytest.mark.parametrize("ending", ENDINGS)
+def test_height_does_not_matter_to_a_check(files, ending):
+    """Four times the rows of a picture and two layers; whole, they would take 120 MiB more."""
+    low, high = (
+        check_peak(files(f"{name}.{ending}"), [files(f"{name}.{ending}")] * 2)
+        for name in ("wide", "tall")
+    )
+    assert high - low <= 12
+
+
 # ---- the least ------------------------------------------------------------------------------
 
 

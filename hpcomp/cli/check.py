@@ -13,7 +13,7 @@ from .options import message_options, print_data
 from .signals import load
 from .stackoptions import LayerCommand, layer_arguments, stack_options
 
-SHORT_HELP = "Fail if a picture has lost the hues of the layers it was made from."
+SHORT_HELP = "Fail if a picture has lost the hues of its layers."
 
 
 @click.command("check", cls=LayerCommand, short_help=SHORT_HELP)
@@ -80,7 +80,7 @@ SHORT_HELP = "Fail if a picture has lost the hues of the layers it was made from
 def command(
     ctx: click.Context, /, image: str, layers: tuple[str, ...], format: str, **options: Any
 ) -> None:
-    """Fail if a picture has lost the hues of the layers it was made from.
+    """Fail if a picture has lost the hues of its layers.
 
     IMAGE is the picture, LAYER and the options are those that `hpcomp stack` made it with; instead
     of layers, --hues lists what is allowed. At least one of --max-foreign, --max-grey and
@@ -92,9 +92,9 @@ def command(
     value of each channel, half a unit in the last place of a half-float. Lossy compression is not.
 
     \b
-      hpcomp check map.png base.png roads.png rivers.exr --max-foreign 0.1%
-      hpcomp check map.png base.png roads.png rivers.exr --require-hue layer:roads
-      hpcomp check map.png --hues 0,120,235 --max-foreign 1% --format json
+      hpcomp check map.png base.png 'roads.png::opacity=0.6' rivers.exr --max-foreign 0.1%
+      hpcomp check map.png base.png 'roads.png::opacity=0.6' rivers.exr --require-hue layer:roads
+      hpcomp check map.png --hues 0,120,231 --max-foreign 1% --format json
     """
     checking, report = load("hpcomp.checking"), load("hpcomp.report.check")
     picture, *below = layer_arguments([image, *layers])
