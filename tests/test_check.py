@@ -241,6 +241,23 @@ def test_the_tolerance_widens_only_where_samples_leave_it_open(tmp_path, monkeyp
     assert not hpcomp.check("dark.exr", ["red.exr"], max_foreign=0).passed
 
 
+def test_an_alpha_that_was_rounded_up_lights_no_foreign_hue(tmp_path, monkeypatch):
+    """Blue of half an 8-bit alpha is below half a step, and stored it is twice as much."""
+    monkeypatch.chdir(tmp_path)
+    alpha = 0.51 / 255
+    hpcomp.write_image("faint.exr", np.array([[[0, 0, alpha, alpha]]]), depth="float")
+    hpcomp.stack(["faint.exr"], "out.png")
+    found = hpcomp.check("out.png", ["faint.exr"], max_foreign=0)
+    assert (found.sums.chromatic, found.sums.foreign) == (1, 0)
+    assert found.sums.labels[0].pixels == 0
+
+
+def test_a_picture_of_more_chroma_than_its_layers_has_lost_none(layers):
+    found = hpcomp.check("red.exr", ["red.exr::opacity=0.5"], max_grey=0)
+    assert found.passed
+    assert found.sums.chroma_out == found.sums.chroma_in > 0
+
+
 # ---- labels --------------------------------------------------------------------------------------
 
 
@@ -297,6 +314,11 @@ def test_a_hue_that_is_rounding_shows_no_label(tmp_path, monkeypatch):
     found = hpcomp.check("speck.png", hues="30,0", require_hue=["30"], achromatic=0)
     assert found.sums.foreign == 0
     assert {label.text: seen.shown for label, seen in zip(found.labels, found.sums.labels, strict=True)}["hue 30"] == 0
+    # Two codes off grey: red it may be, or orange, but nobody could tell.
+    write_codes("pale.png", [[[200, 198, 198, 255]]])
+    pale = hpcomp.check("pale.png", hues="30", require_hue=["30"], achromatic=0)
+    assert (pale.sums.chromatic, pale.sums.foreign) == (1, 0)
+    assert pale.sums.labels == (checking.LabelSums(1, 0),)
 
 
 # ---- hues ----------------------------------------------------------------------------------------
@@ -359,6 +381,23 @@ def test_nonfinite_pixels_follow_the_policy(tmp_path, monkeypatch):
         assert zeroed.sums.unmeasured == 0
     hues = hpcomp.check("inf.exr", hues="0", max_foreign=0, nonfinite="keep")
     assert (hues.sums.unmeasured, hues.sums.visible) == (1, 8)
+
+
+def test_a_broken_pixel_is_named_in_the_coordinates_of_its_file(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    pixels = np.full((3, 3, 4), 0.25, np.float32)
+    pixels[1, 2, 0] = np.nan
+    data, display = hpcomp.Window(1, 2, 3, 3), hpcomp.Window(0, 0, 6, 6)
+    hpcomp.write_image("nan.exr", pixels, data_window=data, display_window=display, depth="float")
+    hpcomp.write_image("fine.exr", np.full((6, 6, 4), 0.25))
+    wide = {"canvas": "12x12+0+0", "max_foreign": 0}
+    says = "1 pixel is NaN or infinite, the first at 3,3"
+    with pytest.raises(MismatchError, match=says):
+        hpcomp.check("fine.exr::at=+3+2", ["fine.exr", "nan.exr::at=+1+3"], **wide)
+    with pytest.raises(MismatchError, match=says):
+        hpcomp.check("nan.exr::at=+5+6", ["fine.exr"], **wide)
+    with pytest.raises(MismatchError, match=says):
+        hpcomp.explain(["fine.exr", "nan.exr::at=+1+2"], (4, 5))
 
 
 # ---- settings ------------------------------------------------------------------------------------

@@ -144,6 +144,13 @@ def test_a_fold_says_who_met_whom_and_who_dominated(labels):
     assert "layer 0 (l0.exr) keeps its hue; 44% of the chroma is cancelled" in text.splitlines()
 
 
+def test_the_second_may_dominate(labels):
+    pixel = hpcomp.explain(labels((0, 0.1), (120, 0.3)), (0, 0), op="plus")
+    assert pixel.meetings[0].dominant == 2
+    assert "0 meets 1, 120.0° apart: 1 dominates" in report.as_text(pixel)
+    assert pixel.result.survivor == 1
+
+
 def test_orders_are_traced_as_they_reduce(labels):
     files = labels((0, 0.3), (120, 0.1), (200, 0.05), (80, 0.02))
 
