@@ -53,7 +53,7 @@ def command(layers: tuple[str, ...], at: str, format: str, **options: Any) -> No
 
     \b
       hpcomp explain base.png 'roads.png::opacity=0.6' --at 30,20
-      hpcomp explain base.png 'roads.png::opacity=0.6' rivers.exr --at 30,20 --order top-down --format json
+      hpcomp explain base.png 'roads.png::opacity=0.6' --at 30,20 --order top-down --format json
     """
     explanation, report = load("hpcomp.explanation"), load("hpcomp.report.explanation")
     pixel = explanation.explain(layer_arguments(layers), at, **options)
