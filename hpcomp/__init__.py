@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     from .histogram import hue_histogram as hue_histogram
     from .imagefile import ImageFile as ImageFile
     from .imagefile import LayerImage as LayerImage
-    from .measuring import read_hues as read_hues
+    from .imagehues import read_hues as read_hues
     from .measures import StackMeasures as StackMeasures
     from .measures import stack_measures as stack_measures
     from .orders import ORDERS as ORDERS
@@ -81,7 +81,7 @@ _HOME = {
     "hue_histogram": ".histogram",
     "ImageFile": ".imagefile",
     "LayerImage": ".imagefile",
-    "read_hues": ".measuring",
+    "read_hues": ".imagehues",
     "StackMeasures": ".measures",
     "stack_measures": ".measures",
     "ORDERS": ".orders",

@@ -30,6 +30,7 @@ from .imagefile import (
     LayerImage,
     LayerReader,
     OutputForm,
+    codec_threads,
     describe,
     format_of_output,
     open_writer,
@@ -141,10 +142,7 @@ def stack(
             n_threads -= 1
             estimate = Budget.of(placed, window.width, rules, form, n_threads)
         strip_rows = estimate.rows(block, window.height, budget)
-        if form.by_openimageio or any(reader.by_openimageio for reader in readers):
-            from .imagefile.openimageio import codec_threads
-
-            opened.enter_context(codec_threads(reading=1, writing=n_threads))
+        opened.enter_context(codec_threads([*readers, form], reading=1, writing=n_threads))
         log.info(
             "%d layers on canvas %s, %s, order %s",
             len(specs),

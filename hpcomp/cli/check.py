@@ -9,9 +9,9 @@ import click
 
 from ..errors import ExitCode
 from .messages import say
-from .options import message_options, print_data
+from .options import LayerCommand, message_options, print_data
 from .signals import load
-from .stackoptions import LayerCommand, layer_arguments, stack_options
+from .stackoptions import stack_options
 
 SHORT_HELP = "Fail if a picture has lost the hues of its layers."
 
@@ -97,8 +97,7 @@ def command(
       hpcomp check map.png --hues 0,120,231 --max-foreign 1% --format json
     """
     checking, report = load("hpcomp.checking"), load("hpcomp.report.check")
-    picture, *below = layer_arguments([image, *layers])
-    result = checking.check(picture, below, **options)
+    result = checking.check(image, layers, **options)
     if format == "json":
         print_data(json.dumps(report.as_data(result), indent=2))
     else:

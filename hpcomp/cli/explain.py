@@ -7,9 +7,9 @@ from typing import Any
 
 import click
 
-from .options import message_options, print_data
+from .options import LayerCommand, message_options, print_data
 from .signals import load
-from .stackoptions import LayerCommand, layer_arguments, stack_options
+from .stackoptions import stack_options
 
 SHORT_HELP = "Say step by step how one pixel of a stack comes about."
 
@@ -56,7 +56,7 @@ def command(layers: tuple[str, ...], at: str, format: str, **options: Any) -> No
       hpcomp explain base.png 'roads.png::opacity=0.6' --at 30,20 --order top-down --format json
     """
     explanation, report = load("hpcomp.explanation"), load("hpcomp.report.explanation")
-    pixel = explanation.explain(layer_arguments(layers), at, **options)
+    pixel = explanation.explain(layers, at, **options)
     if format == "json":
         print_data(json.dumps(report.as_data(pixel), indent=2))
     else:

@@ -171,7 +171,7 @@ def _measured(
     images: Sequence[str], output: str, settings: dict[str, Any]
 ) -> tuple[list[Entry], list[HpcompError]]:
     """The histograms of the images that can be measured, and what is wrong with the others."""
-    measuring = load("hpcomp.measuring")
+    measuring = load("hpcomp.imagehues")
     specs = measuring.images_to_measure(images, output)
     entries: list[Entry] = []
     failures: list[HpcompError] = []

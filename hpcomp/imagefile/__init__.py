@@ -15,6 +15,7 @@ from .description import (
     seekable,
 )
 from .reading import NONFINITE_POLICIES, STRIP_ROWS, LayerImage, LayerReader
+from .source import codec_threads
 from .writing import ImageWriter, OutputForm, format_of_output, open_writer
 
 __all__ = [
@@ -30,6 +31,7 @@ __all__ = [
     "OutputForm",
     "Part",
     "choose",
+    "codec_threads",
     "describe",
     "format_of_output",
     "open_writer",

@@ -30,7 +30,7 @@ oiio.attribute("oiio:print_uncaught_errors", 0)
 
 
 @contextlib.contextmanager
-def codec_threads(reading: int, writing: int) -> Iterator[None]:
+def library_threads(reading: int, writing: int) -> Iterator[None]:
     """Bounds the threads that OpenImageIO and OpenEXR add to ours, and puts their settings back."""
     settings = {"threads": reading, "exr_threads": writing}
     before = {name: oiio.get_int_attribute(name) for name in settings}

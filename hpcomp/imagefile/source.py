@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import contextlib
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Protocol
 
 from ..samples import Samples
@@ -10,6 +11,25 @@ from .description import Channel, ImageFile, Part
 from .exrscanlines import ExrLayout, ExrScanlines
 from .pngscanlines import PngLayout, PngScanlines
 from .rawfile import RawFile
+
+
+class ByLibrary(Protocol):
+    """What can say whether OpenImageIO reads or writes it."""
+
+    @property
+    def by_openimageio(self) -> bool: ...
+
+
+@contextlib.contextmanager
+def codec_threads(files: Iterable[ByLibrary], reading: int, writing: int) -> Iterator[None]:
+    """Bounds the threads of the libraries that these files need; without any, does nothing."""
+    if not any(file.by_openimageio for file in files):
+        yield
+        return
+    from .openimageio import library_threads
+
+    with library_threads(reading, writing):
+        yield
 
 
 class Source(Protocol):

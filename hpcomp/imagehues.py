@@ -98,8 +98,8 @@ def read_hues(
     notices = Notices(strict)
     begun = time.perf_counter()
     with (
-        codec_threads(reading=1, writing=1),
         opened_layer(spec, image_label(spec), nonfinite) as reader,
+        codec_threads([reader], reading=1, writing=1),
     ):
         warn_of_problems(reader, notices)
         # Closed before the reader is: no thread reads on behind a failure.
