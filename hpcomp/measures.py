@@ -305,7 +305,8 @@ class Contributors:
 
     `luminance` (terms, pixels) and `p` (terms, 2, pixels) hold the pixels that can be measured,
     `known` (all pixels) says which those are; `size` is |t|, (terms, pixels). The background is
-    among them where the stack has one: `n_layers` counts those before it.
+    among them where the stack has one: `n_layers` counts those before it. `alpha` (all pixels): of
+    the stack over its background.
     """
 
     n_layers: int
@@ -313,6 +314,7 @@ class Contributors:
     p: Array
     size: Array
     known: Mask
+    alpha: Array
 
     def total(self) -> Array:
         """Σ|t|, (pixels)."""
@@ -332,20 +334,21 @@ class Contributors:
 def contributors(rules: StackRules, layers: Sequence[Array]) -> Contributors:
     """The contributors to pixels of a stack; `layers` as in `measured`."""
     terms = weighted(rules, layers)
-    luminance, p = terms.luminance, terms.p
+    luminance, p, alpha = terms.luminance, terms.p, terms.alpha
     if rules.background is not None:
         color = np.array(rules.background, p.dtype)[:, None]
         luminance_below, p_below = rules.space.forward(color)
         uncovered = 1 - terms.alpha
         luminance = np.concatenate([luminance, (uncovered * luminance_below)[None]])
         p = np.concatenate([p, (uncovered * p_below)[None]])
+        alpha = np.ones_like(alpha)
     known = np.logical_and(
         (np.abs(luminance) < LARGEST_MEASURED).all(axis=0),
         (np.abs(p) < LARGEST_MEASURED).all(axis=(0, 1)),
     )
     if not known.all():
         luminance, p = luminance[:, known], p[:, :, known]
-    return Contributors(len(terms.p), luminance, p, length(p[:, 0], p[:, 1]), known)
+    return Contributors(len(terms.p), luminance, p, length(p[:, 0], p[:, 1]), known, alpha)
 
 
 def length(x: Array, y: Array) -> Array:

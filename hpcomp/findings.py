@@ -1,0 +1,95 @@
+"""What a report of a stack is made from: its measures, and the hue histograms beside them.
+
+The reference, in numpy; the kernel finds the same. Parts of a picture add up to the whole.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .compositing import StackRules
+from .histogram import DEFAULT_BINS, HueHistogram, hue_histogram
+from .measures import (
+    BLOCK_PIXELS,
+    MeasureSettings,
+    Provenance,
+    StackMeasures,
+    Sums,
+    contributors,
+    measured,
+    summed,
+)
+
+Array = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class StackFindings(Sums):
+    """The findings of a stack or of a part of it; `a + b` are those of both parts.
+
+    `layers`: the histogram of each layer, bottom first, at its opacity and as far as it lies on the
+    canvas. `result` and `traditional`: of the stack as it is blended and by plain +, over the
+    background and before the exposure.
+    """
+
+    measures: StackMeasures
+    layers: tuple[HueHistogram, ...]
+    result: HueHistogram
+    traditional: HueHistogram
+
+    @staticmethod
+    def none(rules: StackRules, settings: MeasureSettings, bins: int) -> StackFindings:
+        """The findings of no pixel, to add others to."""
+        empty = HueHistogram.empty(bins, rules.space.name, settings.achromatic)
+        return StackFindings(
+            StackMeasures.none(rules, settings), (empty,) * len(rules.operators), empty, empty
+        )
+
+
+def findings_of(
+    rules: StackRules,
+    settings: MeasureSettings,
+    layers: Sequence[Array],
+    bins: int = DEFAULT_BINS,
+) -> tuple[StackFindings, Provenance]:
+    """The findings of some pixels, and their provenance.
+
+    `layers`: (layers, pixels, 4) float32, linear, premultiplied, placed, alpha in [0, 1].
+    """
+    measures, provenance = measured(rules, settings, layers)
+    total = StackFindings.none(rules, settings, bins)
+    for begin in range(0, len(layers[0]), BLOCK_PIXELS):
+        block = [layer[begin : begin + BLOCK_PIXELS] for layer in layers]
+        with np.errstate(all="ignore"):  # NaN and Inf are counted, not judged
+            total += _histograms(rules, settings, block, bins)
+    return StackFindings(measures, total.layers, total.result, total.traditional), provenance
+
+
+def _histograms(
+    rules: StackRules, settings: MeasureSettings, layers: Sequence[Array], bins: int
+) -> StackFindings:
+    def counted(rgba: Any) -> HueHistogram:
+        return hue_histogram(
+            rgba, bins=bins, space=rules.space.name, achromatic=settings.achromatic
+        )
+
+    pixels = contributors(rules, layers)
+    opacities = np.array(rules.opacities, np.float32)
+    alpha = pixels.alpha[pixels.known]
+    results = []
+    for p in (pixels.reduced(rules), pixels.plain()):
+        # What cannot be measured is still a pixel of the picture.
+        rgba = np.full((len(pixels.known), 4), np.nan, np.float32)
+        rgb = rules.space.inverse(summed(pixels.luminance), p)
+        rgba[pixels.known] = np.concatenate([rgb, alpha[None]]).T
+        results.append(counted(rgba))
+    return StackFindings(
+        StackMeasures.none(rules, settings),
+        tuple(counted(rgba * opacity) for rgba, opacity in zip(layers, opacities, strict=True)),
+        *results,
+    )
