@@ -511,7 +511,7 @@ class _Gauge:
         n_pixels = count(known)
         p = np.array([np.broadcast_to(hue, (2, n_pixels)) for hue in self.hues])
         ones = np.ones((len(self.hues), n_pixels), np.float32)
-        return Contributors(len(self.hues), ones, p, ones, known)
+        return Contributors(len(self.hues), ones, p, ones, known, np.ones_like(known, np.float32))
 
     def _exposed(self, terms: Contributors) -> Contributors:
         """The terms as bright as the exposure made them in the picture."""

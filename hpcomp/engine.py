@@ -1,15 +1,17 @@
 """Which engine composites: the fused kernel where it was built, else the reference.
 
 Both have the same face: `NAME`, and `start(rules, width, height, dtype)` for a strip, whose `add`
-takes layers, whose `result` gives samples, and whose `nonfinite` counts pixels with NaN or Inf.
+takes layers, whose `result` gives samples, and whose `nonfinite` counts pixels with NaN or Inf; and
+the module named in `MEASURING`, whose `findings` say what blending did to the hues of a strip.
 """
 
 from __future__ import annotations
 
 import os
 from collections.abc import Sequence
+from importlib import import_module
 from types import ModuleType
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
@@ -18,6 +20,10 @@ from .compositing import StackRules
 from .encoding import Losses
 from .errors import SettingError, unknown_name
 from .samples import Samples, Strip
+
+if TYPE_CHECKING:  # only reports need them
+    from .findings import StackFindings
+    from .measures import MeasureSettings, Provenance
 
 #: The environment variable that chooses.
 VARIABLE = "HPCOMP_ENGINE"
@@ -63,3 +69,19 @@ def start(rules: StackRules, width: int, height: int, dtype: Any = np.float32) -
     engine = reference if dtype == np.float64 else active()
     accumulator: Accumulator = engine.start(rules, width, height, dtype)
     return accumulator
+
+
+def findings(
+    rules: StackRules,
+    settings: MeasureSettings,
+    bins: int,
+    strips: Sequence[Strip],
+    width: int,
+    height: int,
+    with_provenance: bool = False,
+) -> tuple[StackFindings, Provenance | None]:
+    """What the active engine finds of a strip, all its layers bottom first."""
+    found: tuple[StackFindings, Provenance | None] = import_module(active().MEASURING).findings(
+        rules, settings, bins, strips, width, height, with_provenance
+    )
+    return found

@@ -24,6 +24,7 @@ from .measures import (
     measured,
     summed,
 )
+from .samples import Strip, cropped, linear_rgba, spread
 
 Array = NDArray[np.float32]
 
@@ -68,6 +69,28 @@ def findings_of(
         with np.errstate(all="ignore"):  # NaN and Inf are counted, not judged
             total += _histograms(rules, settings, block, bins)
     return StackFindings(measures, total.layers, total.result, total.traditional), provenance
+
+
+def findings(
+    rules: StackRules,
+    settings: MeasureSettings,
+    bins: int,
+    strips: Sequence[Strip],
+    width: int,
+    height: int,
+    with_provenance: bool = False,
+) -> tuple[StackFindings, Provenance | None]:
+    """The findings of a strip, all its layers bottom first; provenance planes (height, width)."""
+    layers = []
+    for strip in strips:
+        inside = cropped(strip, width, height)
+        rgba, _ = linear_rgba(inside)
+        layers.append(spread(rgba, inside.left, inside.top, width, height))
+    found, provenance = findings_of(rules, settings, layers, bins)
+    if not with_provenance:
+        return found, None
+    planes = (plane.reshape(height, width) for plane in vars(provenance).values())
+    return found, Provenance(*planes)
 
 
 def _histograms(

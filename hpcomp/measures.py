@@ -238,6 +238,13 @@ class Provenance:
     grey: Array
     margin: Array
 
+    @staticmethod
+    def none(shape: tuple[int, ...]) -> Provenance:
+        """That of pixels in which nothing is."""
+        return Provenance(
+            np.zeros(shape, np.uint32), np.zeros(shape, np.float32), np.zeros(shape, np.float32)
+        )
+
 
 # --- pixels ---------------------------------------------------------------------------------------
 
@@ -284,8 +291,7 @@ def measured(
     `layers`: (layers, pixels, 4) float32, linear, premultiplied, placed, alpha in [0, 1].
     """
     n_pixels = len(layers[0])
-    grey, margin = np.zeros((2, n_pixels), np.float32)
-    provenance = Provenance(np.zeros(n_pixels, np.uint32), grey, margin)
+    provenance = Provenance.none((n_pixels,))
     total = StackMeasures.none(rules, settings)
     for begin in range(0, n_pixels, BLOCK_PIXELS):
         block = slice(begin, min(begin + BLOCK_PIXELS, n_pixels))

@@ -22,6 +22,8 @@ Array = NDArray[np.floating[Any]]
 NAME = "reference"
 #: Whether strips are widened to float RGBA on the way.
 DECODES_IN_NUMPY = True
+#: Where its `findings` are, with all that they import.
+MEASURING = "hpcomp.findings"
 
 #: Pixels that are composited at a time, so that a few planes of them stay in the L2 cache.
 BLOCK_PIXELS = 16_384

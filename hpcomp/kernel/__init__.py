@@ -27,6 +27,8 @@ from . import _kernel  # type: ignore[attr-defined]
 NAME = "kernel"
 #: Whether strips are widened to float RGBA on the way.
 DECODES_IN_NUMPY = False
+#: Where its `findings` are, with all that they import.
+MEASURING = "hpcomp.kernel.measuring"
 
 #: Chooses an instruction set by name; the tests compare them.
 LEVEL_VARIABLE = "HPCOMP_KERNEL_LEVEL"
@@ -52,43 +54,23 @@ class Accumulator:
         self.rules, self.shape = rules, (height, width, 4)
         self.nonfinite = [0] * len(rules.operators)
         self._decoded: set[int] = set()  # layers whose broken pixels were counted by numpy
-        level = os.environ.get(LEVEL_VARIABLE, "")
-        if level not in ("", *levels()):
-            raise unknown_name(f"instruction set in {LEVEL_VARIABLE}", level, levels())
-        self._strip = _kernel.Accumulator(_rules(rules), width, height, level)
+        self._strip = _kernel.Accumulator(rules_of(rules), width, height, chosen_level())
 
     def add(self, numbers: Sequence[int], strips: Sequence[Strip]) -> None:
         """Layers by number; `nonfinite` counts their pixels with NaN or Inf."""
-        layers = [self._layer(n, strip) for n, strip in zip(numbers, strips, strict=True)]
+        layers = []
+        for number, strip in zip(numbers, strips, strict=True):
+            layer, broken = layer_of(self.rules, number, strip, self.shape[1], self.shape[0])
+            layers.append(layer)
+            if broken is not None:
+                self.nonfinite[number] = broken
+                self._decoded.add(number)
         self._count(numbers, self._strip.add(list(numbers), layers))
 
     def _count(self, numbers: Iterable[int], counts: Sequence[int]) -> None:
         for number, count in zip(numbers, counts, strict=False):
             if number not in self._decoded:
                 self.nonfinite[number] += count
-
-    def _layer(self, number: int, strip: Strip) -> Any:
-        if not strip.decoding.is_plain(strip.samples):
-            strip = cropped(strip, self.shape[1], self.shape[0])
-            rgba, self.nonfinite[number] = linear_rgba(strip)
-            self._decoded.add(number)
-            strip = Strip(rgba, PLAIN, strip.left, strip.top)
-        samples, decoding = strip.samples, strip.decoding
-        operator = self.rules.operators[number]
-        factors = (Factor.ONE, Factor.ZERO)
-        if operator is not None:
-            factors = (operator.factor_a, operator.factor_b)
-        return _kernel.layer(
-            samples,
-            _table(samples, decoding),
-            decoding.alpha_mode == "straight",
-            _matrix(decoding),
-            strip.left,
-            strip.top,
-            self.rules.opacities[number],
-            *map(int, factors),
-            decoding.zero_nonfinite,
-        )
 
     def result(self, kind: str, losses: Losses) -> Samples:
         """The composite (height, width, 4), as samples of that kind."""
@@ -102,8 +84,45 @@ class Accumulator:
         return out
 
 
+def chosen_level() -> str:
+    """The instruction set that the environment names, empty for the fastest."""
+    level = os.environ.get(LEVEL_VARIABLE, "")
+    if level not in ("", *levels()):
+        raise unknown_name(f"instruction set in {LEVEL_VARIABLE}", level, levels())
+    return level
+
+
+def layer_of(
+    rules: StackRules, number: int, strip: Strip, width: int, height: int
+) -> tuple[Any, int | None]:
+    """A layer for the loops, and how many pixels are broken where numpy had to decode it."""
+    broken = None
+    if not strip.decoding.is_plain(strip.samples):
+        strip = cropped(strip, width, height)
+        rgba, broken = linear_rgba(strip)
+        strip = Strip(rgba, PLAIN, strip.left, strip.top)
+    samples, decoding = strip.samples, strip.decoding
+    operator = rules.operators[number]
+    factors = (Factor.ONE, Factor.ZERO)
+    if operator is not None:
+        factors = (operator.factor_a, operator.factor_b)
+    layer = _kernel.layer(
+        samples,
+        _table(samples, decoding),
+        decoding.alpha_mode == "straight",
+        _matrix(decoding),
+        strip.left,
+        strip.top,
+        rules.opacities[number],
+        *map(int, factors),
+        decoding.zero_nonfinite,
+    )
+    return layer, broken
+
+
 @lru_cache(maxsize=8)
-def _rules(rules: StackRules) -> Any:
+def rules_of(rules: StackRules) -> Any:
+    """The rules in numbers, for the loops."""
     n = len(rules.operators)
     order, sequence = _PERMUTATION, rules.order.sequence
     if rules.reduction is Reduction.BOTTOM_UP:

@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "block.h"
+#include "measure.h"
 #include "packing.h"
 
 namespace hpcomp {
@@ -14,6 +15,7 @@ struct Level {
     const char *name;
     const Engine *engine;
     const Packing *packing;
+    const Measuring *measuring;
 };
 
 // Those that this processor runs, the fastest last.

@@ -12,9 +12,11 @@
 
 #include <algorithm>
 #include <cmath>
+#include <initializer_list>
 #include <limits>
 #include <memory>
 #include <stdexcept>
+#include <type_traits>
 
 #include "door.h"
 #include "levels.h"
@@ -317,6 +319,75 @@ class Accumulator {
     bool finished_ = false;
 };
 
+using Sums = nb::ndarray<int64_t, nb::c_contig, nb::device::cpu>;
+using Numbers = nb::ndarray<uint32_t, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
+using Values = nb::ndarray<float, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
+
+template <class Array>
+auto *checked_values(const std::optional<Array> &array, int64_t height, int64_t width) {
+    using Value = std::remove_pointer_t<decltype(array->data())>;
+    if (!array) return static_cast<Value *>(nullptr);
+    if (int64_t(array->shape(0)) != height || int64_t(array->shape(1)) != width)
+        throw nb::value_error("provenance must be height x width");
+    check_aligned(array->data(), sizeof(Value));
+    return array->data();
+}
+
+void check_sums(const Sums &sums, std::initializer_list<int64_t> shape) {
+    size_t axis = 0;
+    bool fits = sums.ndim() == shape.size();
+    for (const int64_t size : shape) {
+        fits = fits && int64_t(sums.shape(axis)) == size;
+        ++axis;
+    }
+    if (!fits) throw nb::value_error("sums of another shape are needed");
+    check_aligned(sums.data(), sizeof(int64_t));
+}
+
+// Adds the measures of a strip to `results`, `hues` and `others`, see `measure.h`; sets provenance.
+// Returns the pixels that could not be measured, and those whose survivor depends on the order.
+std::pair<int64_t, int64_t>
+measure(std::shared_ptr<StackRules> rules, std::array<float, 4> limits, bool depends_on_order,
+        const std::vector<StripLayer *> &strips, int64_t width, int64_t height, Sums results, Sums hues,
+        Sums others, std::optional<Numbers> layer, std::optional<Values> grey,
+        std::optional<Values> margin, const std::string &level) {
+    const Measuring &measuring = *level_of(level).measuring;
+    const int64_t n = rules->rules.layers;
+    if (int64_t(strips.size()) != n) throw nb::value_error("all layers are needed");
+    for (const StripLayer *strip : strips)
+        if (strip == nullptr) throw nb::type_error("layers must be made by `layer`");
+    const int strip_width = checked_coordinate(width), strip_height = checked_coordinate(height);
+    if (width < 1 || height < 1) throw nb::value_error("a strip needs pixels");
+    const int64_t bins = hues.ndim() == 3 ? int64_t(hues.shape(1)) - 1 : 0;
+    if (bins < 1 || bins > (1 << 16)) throw nb::value_error("hues need bins");
+    check_sums(results, {2, kResultSums + kContributorSums * (n + 1)});
+    check_sums(hues, {n + 2, bins + 1, kHueColumns});
+    check_sums(others, {n + 2, kOthers});
+    Measures found{};
+    found.results = results.data();
+    found.hues = hues.data();
+    found.others = others.data();
+    found.provenance = {checked_values(layer, height, width), checked_values(grey, height, width),
+                        checked_values(margin, height, width)};
+    const bool wanted = layer.has_value();
+    if (wanted != grey.has_value() || wanted != margin.has_value())
+        throw nb::value_error("provenance is three arrays or none");
+    const MeasureRules measures{limits[0], limits[1], limits[2], limits[3], depends_on_order,
+                                int(bins)};
+    // Copies, which keep the arrays alive while other threads run.
+    std::vector<StripLayer> held;
+    std::vector<Layer> layers;
+    for (const StripLayer *strip : strips) held.push_back(*strip);
+    for (const StripLayer &strip : held) layers.push_back(strip.layer);
+    {
+        const nb::gil_scoped_release unlocked;
+        std::vector<float> scratch(size_t(measure_floats(rules->rules.order, n)));
+        measuring.measure(rules->rules, measures, layers.data(), int(n), strip_width, strip_height,
+                          scratch.data(), &found);
+    }
+    return {found.unmeasured, found.order_sensitive};
+}
+
 }  // namespace
 
 NB_MODULE(_kernel, module) {
@@ -341,6 +412,10 @@ NB_MODULE(_kernel, module) {
         .def("result", &Accumulator::result, "out"_a.noconvert(), "thresholds"_a.none().noconvert(),
              "first_code"_a.none().noconvert(),
              "bucket_bits"_a, "limits"_a);
+    module.def("measure", &measure, "rules"_a, "limits"_a, "depends_on_order"_a, "layers"_a, "width"_a,
+               "height"_a, "results"_a.noconvert(), "hues"_a.noconvert(), "others"_a.noconvert(),
+               "layer"_a.none().noconvert(), "grey"_a.none().noconvert(),
+               "margin"_a.none().noconvert(), "level"_a = "");
     bind_packing(module);
 }
 

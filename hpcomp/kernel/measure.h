@@ -1,0 +1,53 @@
+// What blending did to the hues of a stack: sums over the pixels of a strip. All sums are integers,
+// values counted in units of 2^-24, so that they do not depend on strips, threads or processors.
+
+#pragma once
+
+#include "block.h"
+
+namespace hpcomp {
+
+struct MeasureRules {
+    float half_step;            // |p| above which a term contributes, and a result has chroma
+    float achromatic;           // saturation below which a colour is grey
+    float sine, cosine;         // of the angle beyond which a hue is foreign
+    int depends_on_order;       // whether another order gives another result
+    int bins;                   // of the hue histograms
+};
+
+// A row of a histogram: pixels, and their sums; padded to a cache line.
+constexpr int kHueColumns = 8;
+enum HueColumn { kCount, kChroma, kAlpha, kRed, kGreen, kBlue };
+// Pixels without a bin.
+enum OtherPixels { kGrey, kTransparent, kNonfinite, kOthers };
+// Of one result: pixels and sums, then kContributor numbers of each layer and of the background.
+enum ResultSum { kChromatic, kChromaSum, kForeign, kForeignChroma, kLight, kResultSums = kLight + 3 };
+enum ContributorSum { kPixels, kSurvived, kTermSum, kKept, kContributorSums };
+
+// The values of each pixel, where they are wanted; else null.
+struct Provenance {
+    uint32_t *layer;
+    float *grey, *margin;
+};
+
+// Everything is added to what is there, but for the provenance, which is set.
+struct Measures {
+    int64_t unmeasured, order_sensitive;
+    int64_t *results;  // (2, kResultSums + kContributorSums * (layers + 1)): as blended, traditional
+    int64_t *hues;     // (layers + 2, bins + 1, kHueColumns): layers, result, traditional; one bin
+                       // more for pixels that belong in none
+    int64_t *others;   // (layers + 2, kOthers)
+    Provenance provenance;
+};
+
+// Floats of scratch for `n` layers.
+constexpr int64_t measure_floats(Order order, int64_t n) {
+    return (n + 1) * 8 * kBlock + scratch_floats(order, n);
+}
+
+struct Measuring {
+    void (*measure)(const Rules &, const MeasureRules &, const Layer *, int count, int width,
+                    int height, float *scratch, Measures *);
+};
+
+}  // namespace hpcomp
