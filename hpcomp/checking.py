@@ -45,8 +45,7 @@ from .measures import (
     summed,
 )
 from .notices import Notices, warn_of_problems, warn_of_zeroed
-from .pipeline import Layer, PlacedLayer, _rules
-from .placedstack import layer_specs, opened_stack
+from .placedstack import Layer, PlacedLayer, layer_specs, opened_stack, rules_of
 from .samples import Decoding, Rgba, Samples, Strip, cropped, decode, linear_rgba, spread
 from .spaces import Space
 from .stackfile import LayerSpec, layer_spec
@@ -276,7 +275,7 @@ def check(
         raise unknown_name("nonfinite policy", nonfinite, NONFINITE_POLICIES)
     notices = Notices(strict)
     if hues is None:
-        rules = _rules(
+        rules = rules_of(
             specs, op, "hue-preserving", "bottom-up", space, hue_tolerance, background, exposure
         )
         labels = [Label(spec.label(n), n, None) for n, spec in enumerate(specs)]
@@ -378,7 +377,6 @@ def _blocks(
     for begin in range(window.y, window.bottom, rows):
         strip = Window(window.x, begin, window.width, min(rows, window.bottom - begin))
         stored = picture.read(strip)
-        assert stored is not None
         _, broken = linear_rgba(stored)
         picture.reader.note_nonfinite(begin - picture.dy, broken)
         samples = stored.samples.reshape(-1, stored.samples.shape[2])
@@ -390,10 +388,7 @@ def _blocks(
 
 def _colors(layer: PlacedLayer, rows: Window) -> Rgba:
     """(pixels, 4): a layer's pixels in `rows` of the canvas, transparent where it has none."""
-    strip = layer.read(rows)
-    if strip is None:
-        return np.zeros((rows.width * rows.height, 4), np.float32)
-    strip = cropped(strip, rows.width, rows.height)
+    strip = cropped(layer.read(rows), rows.width, rows.height)
     rgba, broken = linear_rgba(strip)
     layer.reader.note_nonfinite(max(rows.y, layer.window.y) - layer.dy, broken)
     return spread(rgba, strip.left, strip.top, rows.width, rows.height)

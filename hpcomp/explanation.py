@@ -27,8 +27,7 @@ from .measures import (
     measured,
 )
 from .notices import Notices, warn_of_zeroed
-from .pipeline import _NOTHING, Layer, PlacedLayer, _rules
-from .placedstack import layer_specs, opened_stack
+from .placedstack import Layer, PlacedLayer, layer_specs, opened_stack, rules_of
 from .samples import OUTPUT_TYPES, Rgba, Strip, cropped, linear_rgba, spread
 from .stackfile import LayerSpec
 from .terms import weighted
@@ -190,7 +189,7 @@ def explain(
     Warnings: `HpcompWarning`; errors with `strict`.
     """
     specs = layer_specs(layers)
-    rules = _rules(specs, op, blending, order, space, hue_tolerance, background, exposure)
+    rules = rules_of(specs, op, blending, order, space, hue_tolerance, background, exposure)
     settings = measure_settings(
         rules,
         half_step=HALF_STEP_FINE,
@@ -230,10 +229,7 @@ def explain(
 
 def _pixel_of(layer: PlacedLayer, x: int, y: int) -> Strip:
     """One pixel as a layer's file holds it; a strip without samples where it has none."""
-    found = layer.read(Window(x, y, 1, 1))
-    if found is None:
-        return _NOTHING
-    strip = cropped(found, 1, 1)
+    strip = cropped(layer.read(Window(x, y, 1, 1)), 1, 1)
     _, broken = linear_rgba(strip)
     layer.reader.note_nonfinite(y - layer.dy, broken)
     return strip

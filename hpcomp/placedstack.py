@@ -1,20 +1,56 @@
-"""The layers of a stack, opened and placed, for commands that look at it and write no picture."""
+"""The layers of a stack, opened and placed on their canvas."""
 
 from __future__ import annotations
 
 import contextlib
+import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from .canvas import parse_canvas
-from .compositing import StackRules
+import numpy as np
+
+from .canvas import LayerWindows, lay_out, parse_canvas
+from .compositing import StackRules, stack_rules
+from .encoding import parse_hex_color
 from .errors import SettingError, unknown_name
 from .geometry import Window
-from .imagefile import NONFINITE_POLICIES, STDIN
+from .imagefile import NONFINITE_POLICIES, STDIN, LayerReader
 from .layerfile import opened_layer
 from .notices import Notices, warn_of_layers
-from .pipeline import Layer, PlacedLayer, _allow_open_files, _numbered, _placed
-from .stackfile import LayerSpec
+from .samples import Strip
+from .stackfile import LayerSpec, layer_spec
+
+Layer = LayerSpec | str | os.PathLike[str]
+
+#: Files that are open beside the layers: libraries, the output, the standard streams.
+OTHER_OPEN_FILES = 64
+
+
+#: A layer without pixels in a strip: transparent all over.
+NOTHING = Strip(np.zeros((0, 0, 4), np.float32))
+
+
+@dataclass(frozen=True)
+class PlacedLayer:
+    """An open layer and how far its file's coordinates move to the canvas."""
+
+    reader: LayerReader
+    dx: int
+    dy: int
+
+    @property
+    def window(self) -> Window:
+        """Its pixels, in canvas coordinates."""
+        return self.reader.window.moved(self.dx, self.dy)
+
+    def read(self, rows: Window) -> Strip:
+        """What the layer has of `rows` of the canvas, `NOTHING` where it has nothing there."""
+        common = self.window.intersection(rows)
+        if common is None:
+            return NOTHING
+        begin = common.y - self.dy
+        samples = self.reader.read_samples(begin, begin + common.height)
+        return Strip(samples, self.reader.decoding, self.window.x - rows.x, common.y - rows.y)
 
 
 @dataclass(frozen=True)
@@ -28,6 +64,37 @@ class PlacedStack:
 def layer_specs(layers: Sequence[Layer]) -> list[LayerSpec]:
     """Every layer's settings, in the order given; `SettingError` names the layer."""
     return [_numbered(number, layer) for number, layer in enumerate(layers)]
+
+
+def _numbered(number: int, layer: Layer) -> LayerSpec:
+    try:
+        return layer_spec(layer)
+    except SettingError as problem:
+        raise SettingError(f"layer {number} ({layer}): {problem}") from None
+
+
+def rules_of(
+    specs: Sequence[LayerSpec],
+    op: str,
+    blending: str,
+    order: str | Sequence[int],
+    space: str,
+    hue_tolerance: float,
+    background: str | Sequence[float] | None,
+    exposure: float,
+) -> StackRules:
+    """The rules of a stack of these layers, whose own settings go first. Errors: `SettingError`."""
+    return stack_rules(
+        len(specs),
+        op=[spec.op or (op if number else None) for number, spec in enumerate(specs)],
+        opacity=[spec.opacity for spec in specs],
+        blending=blending,
+        order=order,
+        space=space,
+        hue_tolerance=hue_tolerance,
+        background=parse_hex_color(background) if isinstance(background, str) else background,
+        exposure=exposure,
+    )
 
 
 @contextlib.contextmanager
@@ -57,3 +124,31 @@ def opened_stack(
         warn_of_layers(rules, readers, notices)
         window, placed = _placed(specs, readers, wanted)
         yield PlacedStack(window, tuple(placed))
+
+
+def _allow_open_files(layers: int) -> None:
+    """Raises the limit on open files to what a stack of so many layers needs, where it may be."""
+    try:
+        import resource
+    except ImportError:
+        return  # not a Unix: no such limit
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    wanted = layers + OTHER_OPEN_FILES
+    if soft != resource.RLIM_INFINITY and soft < wanted:
+        allowed = wanted if hard == resource.RLIM_INFINITY else min(wanted, hard)
+        resource.setrlimit(resource.RLIMIT_NOFILE, (max(soft, allowed), hard))
+
+
+def _placed(
+    specs: Sequence[LayerSpec], readers: Sequence[LayerReader], canvas: str | Window
+) -> tuple[Window, list[PlacedLayer]]:
+    """The canvas, and the layers on it."""
+    found = lay_out(
+        [
+            LayerWindows(r.label, r.part.display_window, r.window, spec.placement)
+            for spec, r in zip(specs, readers, strict=True)
+        ],
+        canvas,
+    )
+    layers = [PlacedLayer(r, *offset) for r, offset in zip(readers, found.offsets, strict=True)]
+    return found.window, layers
