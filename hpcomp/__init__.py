@@ -12,7 +12,7 @@ Chuang, Weiskopf, Möller: Hue-Preserving Color Blending, IEEE TVCG 15(6), 2009.
     write_image       pixels -> a file
     info              what a file holds and how it will be read
     read_hues         the hue histogram of a file, strip by strip
-    write_hue_report  histograms -> text, JSON, CSV or a figure, as `hpcomp hues`
+    write_hue_report  histograms -> text, data, a figure or a page, as `hpcomp hues`
     explain           how one pixel of a stack of files comes about
     check             a picture against the layers it was made from, by rules
 

@@ -31,6 +31,7 @@ from .look import (
     srgb_hex,
     ticks,
 )
+from .stackreport import StackReport
 
 # What it has to say of its caches is not for those who ask for a figure.
 logging.getLogger("matplotlib").setLevel(logging.CRITICAL)
@@ -57,6 +58,7 @@ _LINEAR_WIDTH, _POLAR_WIDTH, _PLOT_HEIGHT = 4.4, 1.75, 1.35
 _SMALL_LINEAR_WIDTH = 3.0
 _LEFT, _RIGHT, _GAP = 0.62, 0.12, 0.38
 _ABOVE, _BELOW = 0.52, 0.42
+_NOTE = 0.13
 _FOOT = 0.26
 _STRIP = 0.09
 _POLAR_MARGIN = 0.22
@@ -106,7 +108,57 @@ def as_pdf(entries: Sequence[Entry], look: Look) -> bytes:
     return _saved(entries, look, "pdf")
 
 
-def _saved(entries: Sequence[Entry], look: Look, format: str) -> bytes:
+def stack_as_svg(report: StackReport) -> bytes:
+    """The figure of a stack as SVG."""
+    return _stack_saved(report, "svg")
+
+
+def stack_as_png(report: StackReport) -> bytes:
+    """The figure of a stack as PNG."""
+    return _stack_saved(report, "png")
+
+
+def stack_as_pdf(report: StackReport) -> bytes:
+    """The figure of a stack as PDF."""
+    return _stack_saved(report, "pdf")
+
+
+def _stack_saved(report: StackReport, format: str) -> bytes:
+    """Its layers, result and traditional result, each with what became of its hues.
+
+    Of more layers than a figure has room for, it shows the lower ones and says so.
+    """
+    found = report.findings.measures
+    notes = [
+        f"hue survived in {percent(layer.survived_share)} of {layer.pixels:,} px, "
+        f"lost to grey: {percent(layer.lost)} of chroma"
+        if layer.pixels
+        else "contributes no hue"
+        for layer in found.result.layers
+    ] + [
+        f"foreign hue: {percent(result.foreign_share)} of pixels, "
+        f"{percent(result.foreign_chroma_share)} of chroma; "
+        f"lost to grey: {percent(result.lost)} of chroma"
+        for result in (found.result, found.traditional)
+    ]
+    entries = report.entries
+    left_out = len(entries) - MOST_IMAGES
+    remark = ""
+    if left_out > 0:
+        kept = [*range(len(entries) - 2 - left_out), -2, -1]
+        entries, notes = [entries[k] for k in kept], [notes[k] for k in kept]
+        remark = f"; {left_out} upper layers are left out"
+    return _saved(entries, Look(), format, notes, remark)
+
+
+def _saved(
+    entries: Sequence[Entry],
+    look: Look,
+    format: str,
+    notes: Sequence[str] = (),
+    remark: str = "",
+) -> bytes:
+    """The figure; `notes`: a line for each entry, or none at all; `remark`: ends its caption."""
     axis = common_axis(entries)
     if len(entries) > MOST_IMAGES:
         raise SettingError(
@@ -118,7 +170,7 @@ def _saved(entries: Sequence[Entry], look: Look, format: str) -> bytes:
         warnings.filterwarnings("ignore", message="Glyph .* missing from")
         matplotlib.rcdefaults()
         matplotlib.rcParams.update(_RC)
-        figure = _Sheet(axis, entries, look).figure
+        figure = _Sheet(axis, entries, look, notes, remark).figure
         figure.savefig(stream, format=format, dpi=PNG_DPI, metadata=_METADATA[format])
     return stream.getvalue()
 
@@ -126,8 +178,15 @@ def _saved(entries: Sequence[Entry], look: Look, format: str) -> bytes:
 class _Sheet:
     """A figure with a cell for each image, in rows, all on one scale."""
 
-    def __init__(self, axis: HueAxis, entries: Sequence[Entry], look: Look) -> None:
-        self.axis, self.look = axis, look
+    def __init__(
+        self,
+        axis: HueAxis,
+        entries: Sequence[Entry],
+        look: Look,
+        notes: Sequence[str] = (),
+        remark: str = "",
+    ) -> None:
+        self.axis, self.look, self.remark = axis, look, remark
         self.scale = SCALES[look.scale]
         self.bins = entries[0][1].bins
         shares = [found.shares(look.weight) for _, found in entries]
@@ -152,14 +211,16 @@ class _Sheet:
             below = polar_below = 0.0
         rows = -(-n // columns)
         cell_width = self._polar_left + (self.polar_size if self.round else 0) + _RIGHT
-        cell_height = _ABOVE + self.plot_height + below
+        above = _ABOVE + (_NOTE if notes else 0)
+        cell_height = above + self.plot_height + below
         self.width, self.height = columns * cell_width, rows * cell_height + _FOOT
         self.figure = Figure(figsize=(self.width, self.height), facecolor="white")
         for number, (label, found) in enumerate(entries):
             row, column = divmod(number, columns)
             left = column * cell_width
-            bottom = self.height - row * cell_height - _ABOVE - self.plot_height
-            self._heading(label, found, left, bottom + self.plot_height, cell_width)
+            bottom = self.height - row * cell_height - above - self.plot_height
+            note = notes[number] if notes else ""
+            self._heading(label, found, left, bottom + self.plot_height, cell_width, note)
             if self.straight:
                 self._linear(found, left + _LEFT, bottom)
             if self.round:
@@ -174,7 +235,7 @@ class _Sheet:
     def _caption(self) -> str:
         return (
             f"{self.axis.title}; share of the {WEIGHT_TITLES[self.look.weight]}, "
-            f"{360 / self.bins:.3g}° to a bar, on a {self.scale.title}"
+            f"{360 / self.bins:.3g}° to a bar, on a {self.scale.title}{self.remark}"
         )
 
     # --- parts; places are inches from the bottom left ---
@@ -196,14 +257,22 @@ class _Sheet:
         return float(text.get_window_extent().width / self.figure.dpi)
 
     def _heading(
-        self, label: str, found: HueHistogram, left: float, bottom: float, width: float
+        self,
+        label: str,
+        found: HueHistogram,
+        left: float,
+        bottom: float,
+        width: float,
+        note: str,
     ) -> None:
-        """Above a cell's plots: the name, the shares of pixels, the peaks with their colours."""
+        """Above a cell's plots: name, note, shares of pixels, peaks with their colours."""
         x = left + (_LEFT if self.straight else _RIGHT)
         room = left + width - x - _RIGHT
-        title = self._text(
-            x, bottom + 0.34, printable(label), fontproperties=self.bold, size=_TITLE
-        )
+        top = bottom + 0.34
+        if note:
+            self._shorten(self._text(x, top, note), room)
+            top += _NOTE
+        title = self._text(x, top, printable(label), fontproperties=self.bold, size=_TITLE)
         self._shorten(title, room)
         total = max(1, found.pixels)
         parts = [

@@ -48,6 +48,7 @@ REPORT_FORMATS: dict[str, ReportFormat] = {
         ReportFormat("svg", ".svg", "a figure, its letters as outlines", ".figure", "as_svg"),
         ReportFormat("png", ".png", "a figure of 200 dots per inch", ".figure", "as_png"),
         ReportFormat("pdf", ".pdf", "a figure, its font embedded", ".figure", "as_pdf"),
+        ReportFormat("html", ".html", "a page for a browser, one file", ".huepage", "as_html"),
     )
 }
 
@@ -83,13 +84,13 @@ def write_hue_report(
     axes: str = "both",
     clobber: bool = True,
 ) -> None:
-    """Writes histograms as a report, as `hpcomp hues` does: text, data or a figure.
+    """Writes histograms as a report, as `hpcomp hues` does: text, data, a figure or a page.
 
     `histograms`: by what the report calls each, at least one, of the same bins and space.
     `output`: a path, whose ending is the format where `format` is not given, or `-` for stdout.
-    `format`: text, json, csv, svg, png or pdf; figures need matplotlib. `weight`: what shares are
-    shares of, count, chroma or alpha. `scale`: of shares, sqrt, linear or log. `axes`: of figures,
-    both, linear or polar. `clobber`: an existing output is replaced.
+    `format`: text, json, csv, svg, png, pdf or html; figures need matplotlib. `weight`: what shares
+    are shares of, count, chroma or alpha. `scale`: of shares, sqrt, linear or log. `axes`: of
+    figures, both, linear or polar. `clobber`: an existing output is replaced.
     Errors: `SettingError`, `MismatchError`, `OutputError`.
     """
     output = os.fspath(output)

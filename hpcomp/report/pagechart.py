@@ -1,0 +1,238 @@
+"""Hue histograms as inline SVG for a page: bars that stretch with it, letters that do not."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..histogram import PEAK_RADIUS_DEG, HueHistogram, Peak
+from ..hueaxis import HueAxis
+from .look import (
+    SCALES,
+    WEIGHT_TITLES,
+    Entry,
+    Look,
+    axis_start,
+    common_axis,
+    hue_colors,
+    percent,
+    srgb_hex,
+    ticks,
+)
+from .markup import Markup, element, joined, number
+from .text import concentration_sentence, pixels_sentence
+
+
+@dataclass(frozen=True)
+class Size:
+    """Pixels of a chart: of its plot, and of the letters below it; `full`: whether names are there
+    beside degrees, and sentences on its numbers."""
+
+    plot: int
+    below: int
+    full: bool
+
+
+LARGE, SMALL = Size(150, 36, True), Size(80, 20, False)
+
+#: Pixels: the strip of hues below a plot, the gap between them, and what is above.
+_STRIP, _GAP, _ABOVE = 10, 3, 8
+#: The height of a line of letters, which labels of shares are apart at least.
+_LINE = 20
+
+#: Heights inside the plot count to so many, widths are degrees.
+_UNITS = 100
+#: Stops of the gradient of hues: every so many degrees.
+_STOP_DEG = 5
+
+_GRADIENT = "hue-colors"
+
+
+class Charts:
+    """Charts of the histograms of a page, all on one scale."""
+
+    def __init__(self, entries: Sequence[Entry], look: Look) -> None:
+        self.axis: HueAxis = common_axis(entries)
+        self.look = look
+        self.bins = entries[0][1].bins
+        self.start = axis_start(self.axis)
+        self.scale = SCALES[look.scale]
+        shares = [found.shares(look.weight) for _, found in entries]
+        self.top = max(float(share.max()) for share in shares) * 1.04 or 1.0
+
+    @property
+    def caption(self) -> str:
+        """What the bars are, in words."""
+        return (
+            f"{self.axis.title}; share of the {WEIGHT_TITLES[self.look.weight]}, "
+            f"{360 / self.bins:.3g}° to a bar, on a {self.scale.title}."
+        )
+
+    def colors(self) -> Markup:
+        """What the charts refer to, once a page: the colours under their axes."""
+        degrees = np.arange(0, 360 + _STOP_DEG, _STOP_DEG) + self.start
+        stops = [
+            element("stop", offset=number(k / (len(degrees) - 1)), stop_color=color)
+            for k, color in enumerate(hue_colors(self.axis, degrees))
+        ]
+        gradient = element("linearGradient", *stops, id=_GRADIENT)
+        return element("svg", gradient, class_="defs", width=0, height=0, aria_hidden="true")
+
+    def figure(self, label: Markup, found: HueHistogram, size: Size) -> Markup:
+        """A histogram under its heading, with its counts and peaks."""
+        heading = element(
+            "figcaption", element("h3", label), element("p", class_="readout", aria_live="polite")
+        )
+        counts = element("p", f"{pixels_sentence(found)}.", class_="note")
+        if not found.chromatic:
+            return element("figure", heading, counts, class_="chart")
+        return element(
+            "figure",
+            heading,
+            counts if size.full else "",
+            self._plot(found, size),
+            peak_list(found),
+            element("p", f"{concentration_sentence(found)}.", class_="note") if size.full else "",
+            class_="chart",
+        )
+
+    def _plot(self, found: HueHistogram, size: Size) -> Markup:
+        height = size.plot
+        rows = [
+            (_ABOVE + height - height * float(self.scale.heights(share, self.top)), share)
+            for share in ticks(self.top, self.scale, _LINE / height)
+        ]
+        whole = _ABOVE + height + _GAP + _STRIP + size.below
+        shares = element(
+            "svg",
+            *(element("text", f"{100 * share:g}%", x="100%", y=y) for y, share in rows),
+            class_="shares",
+            height=whole,
+            aria_hidden="true",
+        )
+        lines = joined(
+            *(element("line", x1=0, x2="100%", y1=y, y2=y, class_="rule") for y, _ in rows[1:])
+        )
+        bars = element(
+            "svg",
+            element("path", d=self._outline(found), class_="bars"),
+            element("path", d="", class_="cursor"),
+            *(self._hit(peak) for peak in found.peaks),
+            class_="field",
+            viewBox=f"{number(self.start)} 0 360 {_UNITS}",
+            preserveAspectRatio="none",
+            y=_ABOVE,
+            width="100%",
+            height=height,
+        )
+        base = _ABOVE + height + _GAP
+        plot = element(
+            "svg",
+            lines,
+            bars,
+            element("rect", y=base, width="100%", height=_STRIP, fill=f"url(#{_GRADIENT})"),
+            self._landmarks(base + _STRIP, size.full),
+            class_="plot",
+            height=whole,
+            role="img",
+            aria_label=summary(found),
+            data_shares=self._data(found),
+            data_bins=self.bins,
+            data_start=self.start,
+        )
+        return element("div", shares, plot, class_="plotted")
+
+    def _outline(self, found: HueHistogram) -> str:
+        """The bars as one path; neighbours are drawn in one go. The axis' ends cut a bar in two."""
+        width = 360 / self.bins
+        first = int(np.floor(self.start / width))
+        heights = self.scale.heights(found.shares(self.look.weight), self.top) * _UNITS
+        steps, open_ = [], False
+        for index in range(first, first + self.bins + 2):
+            height = float(heights[index % self.bins])
+            if height > 0:
+                # What is there is seen, however little it is.
+                level = number(_UNITS - max(height, 0.6))
+                if not open_:
+                    steps.append(f"M{_fine((index - 0.5) * width)} {_UNITS}")
+                steps.append(f"V{level}h{_fine(width)}")
+            elif open_:
+                steps.append(f"V{_UNITS}z")
+            open_ = height > 0
+        return "".join(steps) + (f"V{_UNITS}z" if open_ else "")
+
+    def _hit(self, peak: Peak) -> Markup:
+        reach = max(PEAK_RADIUS_DEG, 180 / self.bins)
+        left = (peak.hue - self.start) % 360 + self.start - reach
+        title = element("title", peak_text(peak))
+        return element(
+            "rect", title, class_="hit", x=_fine(left), width=_fine(2 * reach), height=_UNITS
+        )
+
+    def _landmarks(self, y: float, names: bool) -> Markup:
+        texts = []
+        for name, hue in self.axis.landmarks().items():
+            place = f"{number(((hue - self.start) % 360) / 3.6)}%"
+            texts.append(element("text", f"{hue:.0f}°", x=place, y=y + 15))
+            if names:
+                texts.append(element("text", name, x=place, y=y + 29))
+        return element("g", *texts, class_="landmarks", aria_hidden="true")
+
+    def _data(self, found: HueHistogram) -> str:
+        """Number and share, in percent, of each bin with a pixel: what the page's script reads."""
+        shares = found.shares(self.look.weight)
+        return ",".join(
+            f"{index}:{100 * float(shares[index]):.3g}" for index in np.flatnonzero(found.count)
+        )
+
+
+def _fine(value: float) -> str:
+    """A number of degrees: of a tenth to a bin, hundredths would show."""
+    return f"{value:.4f}".rstrip("0").rstrip(".")
+
+
+def peak_text(peak: Peak) -> str:
+    """A peak in words."""
+    return (
+        f"{peak.hue:.1f}°: {percent(peak.share)} of the pixels with a hue, "
+        f"{percent(peak.chroma_share)} of their chroma"
+    )
+
+
+def summary(found: HueHistogram) -> str:
+    """What a chart shows, for those who do not see it."""
+    if not found.peaks:
+        return "Hue histogram: no hue stands out."
+    peaks = "; ".join(f"{peak.hue:.0f}° {percent(peak.share)}" for peak in found.peaks)
+    return f"Hue histogram. Peaks, with their shares of the pixels with a hue: {peaks}."
+
+
+def swatch(color: str) -> Markup:
+    """A patch of a colour, #rrggbb."""
+    return element(
+        "svg",
+        element("rect", width=12, height=12, fill=color),
+        class_="swatch",
+        width=12,
+        height=12,
+        aria_hidden="true",
+    )
+
+
+def peak_list(found: HueHistogram) -> Markup:
+    """The peaks with their colours, hues and shares."""
+    if not found.peaks:
+        return element("p", "no hue stands out", class_="note")
+    rows = [
+        element(
+            "li",
+            swatch(srgb_hex(peak.rgb)),
+            f" {peak.hue:.1f}° ",
+            element("b", percent(peak.share)),
+            title=peak_text(peak),
+        )
+        for peak in found.peaks
+    ]
+    return element("ul", *rows, class_="peaks")

@@ -1,0 +1,89 @@
+"""The report of a stack as data for scripts, JSON and CSV, and as text for people."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+from ..errors import printable
+from ..histogram import PEAK_RADIUS_DEG
+from . import huedata, measures, text
+from .look import Look, common_axis
+from .stackreport import StackReport
+
+SCHEMA = "hpcomp.stack-report"
+#: Version of the data; it grows when a key changes its meaning or goes.
+SCHEMA_VERSION = 1
+
+#: The keys of the JSON document. The man page prints this.
+JSON_KEYS: dict[str, str] = {
+    "schema": '"hpcomp.stack-report".',
+    "version": "Of the schema, 1: it grows when a key changes its meaning or goes.",
+    "output": "What the picture is called.",
+    "command": "The command that made it; empty where it was made from Python.",
+    "hpcomp": "Its version.",
+    "engine": "The engine that composited, `kernel` or `reference`.",
+    "settings": "What was chosen, each a text.",
+    "measures": "Shares are from 0 to 1. Of all pixels: `pixels`; `unmeasured_pixels`, with NaN or "
+    "Inf; `order_sensitive_pixels` and `order_sensitivity`, the share of the chromatic ones in "
+    "which another layer's hue survives top-down than bottom-up. What counts: `half_step`, the |p| "
+    "above which there is a hue; `achromatic`; `foreign_tolerance` in degrees; `energy_weights` of "
+    "red, green and blue. Then for `result` and `traditional`: `chromatic_pixels`; "
+    "`foreign_pixels`, whose hue no layer gave them, `foreign_share` and `foreign_chroma_share`; "
+    "`lost_to_grey`, of the chroma that went in; `energy`; `layers` and `background`, each with "
+    "the `pixels` to which it contributes, `survived_pixels`, `survived_share` and `lost_to_grey`; "
+    "layers have a `number` and a `label`, and `background` is null where it has no hue.",
+    "space": "The blending space whose hue and chroma were measured.",
+    "bins": "How many bins each histogram has.",
+    "achromatic": "The saturation below which pixels were grey.",
+    "peak_radius": "2, the degrees around a peak that belong to it.",
+    "layers": "A list, bottom first: `number`, `label`, and the keys `pixels`, `peaks`, "
+    "`concentration` and `histogram` as in a document of hpcomp hues.",
+    "result": "The same of the result, before its exposure and before it is rounded.",
+    "traditional": "The same of the result by plain addition.",
+}
+
+
+def as_data(report: StackReport) -> dict[str, Any]:
+    """The report as dictionaries, lists, strings and numbers."""
+    common_axis(report.entries)
+    found = report.findings
+    return {
+        "schema": SCHEMA,
+        "version": SCHEMA_VERSION,
+        "output": report.output,
+        "command": report.command,
+        "hpcomp": report.version,
+        "engine": report.engine,
+        "settings": dict(report.settings),
+        "measures": measures.as_data(found.measures, report.labels, report.energy_weights),
+        "space": found.result.space,
+        "bins": found.result.bins,
+        "achromatic": found.result.achromatic,
+        "peak_radius": PEAK_RADIUS_DEG,
+        "layers": [
+            {"number": number, "label": label, **huedata.histogram_data(histogram)}
+            for number, (label, histogram) in enumerate(
+                zip(report.labels, found.layers, strict=True)
+            )
+        ],
+        "result": huedata.histogram_data(found.result),
+        "traditional": huedata.histogram_data(found.traditional),
+    }
+
+
+def as_json(report: StackReport) -> bytes:
+    """The JSON document, ASCII, a list of numbers on one line."""
+    return huedata.one_line_lists(json.dumps(as_data(report), indent=2)).encode() + b"\n"
+
+
+def as_csv(report: StackReport) -> bytes:
+    """The rows of all histograms, as `hpcomp hues` writes them: layers, result, traditional."""
+    return huedata.as_csv(report.entries, Look())
+
+
+def as_text(report: StackReport) -> bytes:
+    """The measures as a table, then a chart for each histogram on one scale; UTF-8."""
+    table = measures.as_text(report.findings.measures, report.labels, report.energy_weights)
+    charts = text.as_text(report.entries, Look())
+    return f"{printable(report.output)}\n\n{table}\n\n".encode() + charts

@@ -1,0 +1,502 @@
+"""The report of a stack as a page: both results in one frame, numbers, hues, layers, provenance."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..histogram import HueHistogram
+from ..measures import ContributorMeasures, share
+from .look import Look, percent, srgb_hex
+from .markup import Content, Markup, element, escaped, joined
+from .page import Section, page
+from .pagechart import LARGE, SMALL, Charts, peak_list, swatch
+from .pagepictures import data_uri, mask, shown_size
+from .stackreport import Preview, StackReport
+
+TRADITIONAL = "traditional"
+#: What stands for a layer without any hue.
+_COLORLESS = "#808080"
+
+
+def as_html(report: StackReport) -> bytes:
+    """The page, one file; without a preview it has no pictures."""
+    sections = [
+        Section("comparison", "Comparison", _comparison(report)),
+        Section("hues", "Hues", _hues(report)),
+        Section("layers", "Layers", _layers(report)),
+        Section("making", "How it was made", _making(report)),
+    ]
+    if report.preview:
+        provenance = _provenance(report, report.preview)
+        sections.insert(1, Section("provenance", "Where each hue comes from", provenance))
+    return page("Stack report", report.output, _lead(report), sections)
+
+
+def result_name(report: StackReport) -> str:
+    """What the result is called beside the traditional one: by its blending, unless that is it."""
+    name = report.settings.get("blending", "result")
+    return "result" if name == TRADITIONAL else name
+
+
+def _lead(report: StackReport) -> str:
+    found = report.findings.measures
+    ours, plain = found.result, found.traditional
+    if not plain.chromatic and not ours.chromatic:
+        return "No pixel has a hue."
+    theirs = percent(plain.foreign_share) if plain.foreign else "none"
+    if ours.foreign:
+        return (
+            f"{percent(ours.foreign_share)} of the coloured pixels have a hue that nothing there "
+            f"gave them; with {TRADITIONAL} blending, {theirs}."
+        )
+    verdict = f"{theirs} have not" if plain.foreign else "all have, too"
+    return (
+        "Every coloured pixel has the hue of something that lies there. "
+        f"With {TRADITIONAL} blending, {verdict}."
+    )
+
+
+# --- pictures -------------------------------------------------------------------------------------
+
+
+def _comparison(report: StackReport) -> Markup:
+    cards = element("div", *_cards(report), class_="cards", by="\n")
+    counts = _counts(report)
+    if report.preview is None:
+        return joined(element("div", cards, class_="columns"), counts, by="\n")
+    frame = element("div", *_frame(report, report.preview), counts, class_="frame", by="\n")
+    return element("div", frame, cards, class_="columns", by="\n")
+
+
+def _frame(report: StackReport, preview: Preview) -> tuple[Content, ...]:
+    """Both pictures on one place, and what moves the line between them."""
+    ours = result_name(report)
+    pictures = [
+        _picture(TRADITIONAL, "before", preview.traditional, "the layers added as usual"),
+        _picture(ours, "after", preview.result, "the result of this stack"),
+    ]
+    control = element(
+        "input",
+        type="range",
+        id="split",
+        min=0,
+        max=100,
+        step="any",
+        value=50,
+        aria_label=f"How much of the frame is {TRADITIONAL}; the rest is {ours}",
+        data_before=TRADITIONAL,
+        data_after=ours,
+    )
+    knob = element(
+        "svg",
+        element("path", d="M9 6 3 12l6 6M15 6l6 6-6 6"),
+        width=24,
+        height=24,
+        aria_hidden="true",
+    )
+    handle = element("span", knob, class_="handle", aria_hidden="true")
+    frame = element("div", *pictures, control, handle, class_="compare", id="compare", by="\n")
+    hint = element(
+        "p",
+        "Drag or click in the frame, or use the arrow keys, Home and End.",
+        class_="note scripted",
+    )
+    return frame, hint, _scale_note(preview)
+
+
+def _picture(name: str, kind: str, pixels: np.ndarray, what: str) -> Markup:
+    height, width = pixels.shape[:2]
+    shown_width, shown_height, square = shown_size(width, height)
+    image = element(
+        "img",
+        src=data_uri(pixels),
+        width=shown_width,
+        height=shown_height,
+        alt=f"The {name} picture: {what}",
+        class_="square" if square else None,
+        draggable="false",
+    )
+    return element("figure", image, element("figcaption", name), class_=kind)
+
+
+def _scale_note(preview: Preview) -> Content:
+    if preview.scale == 1:
+        return ""
+    return element(
+        "p",
+        f"One pixel here stands for {preview.scale} × {preview.scale} of the picture.",
+        class_="note",
+    )
+
+
+def _provenance(report: StackReport, preview: Preview) -> Markup:
+    height, width = preview.provenance.shape
+    shown_width, shown_height, square = shown_size(width, height)
+    counts = np.bincount(preview.provenance.ravel(), minlength=len(report.labels) + 1)
+    images, rows = [], []
+    for number, label in enumerate(report.labels):
+        color = layer_color(report.findings.layers[number])
+        n_pixels = int(counts[number + 1])
+        if n_pixels:
+            images.append(
+                element(
+                    "img",
+                    src=data_uri(mask(preview.provenance == number + 1, color)),
+                    width=shown_width,
+                    height=shown_height,
+                    alt="",
+                    id=f"map-{number}",
+                    class_="square" if square else None,
+                )
+            )
+        rows.append(_legend_row(number, label, color, n_pixels, preview.provenance.size))
+    alone = percent(share(int(counts[0]), preview.provenance.size))
+    rows.append(
+        element(
+            "li",
+            element("span", class_="box none", aria_hidden="true"),
+            element("span", "no layer: grey, transparent, or nobody's hue", class_="name"),
+            element("span", alone, class_="part"),
+        )
+    )
+    picture = element(
+        "div",
+        *images,
+        class_="map",
+        role="img",
+        aria_label="Map of the layers whose hue survived, pixel by pixel, in the layers' colours. "
+        "The list beside it says how much each has.",
+        by="\n",
+    )
+    buttons = element(
+        "p",
+        element("button", "Show all", type="button", data_show="all"),
+        element("button", "Show none", type="button", data_show="none"),
+        class_="buttons scripted",
+        by=" ",
+    )
+    legend = element(
+        "div", element("ul", *rows, class_="legend", by="\n"), buttons, class_="beside", by="\n"
+    )
+    intro = element(
+        "p",
+        "Each pixel has the colour of the layer whose hue it shows; the share is of the picture.",
+        class_="note",
+    )
+    return joined(
+        intro, element("div", picture, legend, class_="columns", by="\n"), _scale_note(preview)
+    )
+
+
+def _legend_row(number: int, label: str, color: str, n_pixels: int, all_pixels: int) -> Markup:
+    switch = element(
+        "input",
+        type="checkbox",
+        checked=bool(n_pixels),
+        disabled=not n_pixels,
+        class_="scripted",
+        data_map=f"map-{number}" if n_pixels else None,
+    )
+    words = element("span", layer_name(number, label), class_="name")
+    part = element("span", percent(share(n_pixels, all_pixels)), class_="part")
+    return element("li", element("label", switch, swatch(color), words, part))
+
+
+def layer_color(found: HueHistogram) -> str:
+    """The colour that stands for a layer: of its largest peak, else the mean of all with a hue."""
+    if found.peaks:
+        return srgb_hex(found.peaks[0].rgb)
+    weight = float(found.alpha_sums.sum()) or float(found.chromatic)
+    if not weight:
+        return _COLORLESS
+    return srgb_hex(found.rgb_sums.sum(axis=0) / weight)
+
+
+def layer_name(number: int, label: str) -> Markup:
+    """A layer's number and name, the number once where the label is like `layer 3 (leaf.png)`."""
+    begin = f"layer {number} ("
+    if label.startswith(begin) and label.endswith(")"):
+        label = label[len(begin) : -1]
+    return joined(element("span", str(number), class_="number"), " ", element("bdi", label))
+
+
+# --- numbers --------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Measure:
+    """A share that both results have, and what it is, in one sentence; `plain` may be unknown."""
+
+    title: str
+    meaning: str
+    ours: float
+    plain: float | None
+
+
+def _measures(report: StackReport) -> list[_Measure]:
+    found = report.findings.measures
+    ours, plain = found.result, found.traditional
+    red, green, blue = (f"{weight:g}" for weight in report.energy_weights)
+    white = (found.pixels - found.unmeasured) * sum(report.energy_weights)
+    return [
+        _Measure(
+            "Foreign hue, by pixel",
+            "The share of the coloured pixels whose hue is more than "
+            f"{found.settings.foreign_tolerance:.3g}° from that of every layer that contributes "
+            "there.",
+            ours.foreign_share,
+            plain.foreign_share,
+        ),
+        _Measure(
+            "Foreign hue, by chroma",
+            "The same with every pixel counted by its chroma, so that what is vivid weighs more.",
+            ours.foreign_chroma_share,
+            plain.foreign_chroma_share,
+        ),
+        _Measure(
+            "Lost to grey",
+            "The share of the layers’ chroma that blending cancelled: colour that went in and "
+            "came out as grey.",
+            ours.lost,
+            plain.lost,
+        ),
+        _Measure(
+            "Order sensitivity",
+            "The share of the coloured pixels that would show another layer’s hue if the layers "
+            "were blended from the top down instead of from the bottom up.",
+            found.order_sensitivity,
+            None,
+        ),
+        _Measure(
+            "Energy",
+            "An estimate of what an emissive display takes for the picture over black, as a share "
+            f"of what it takes for white; linear red, green and blue weigh {red}, {green} and "
+            f"{blue}.",
+            share(ours.energy(report.energy_weights), white),
+            share(plain.energy(report.energy_weights), white),
+        ),
+    ]
+
+
+def _cards(report: StackReport) -> list[Markup]:
+    return [
+        element(
+            "div",
+            element("h3", row.title),
+            element(
+                "dl",
+                *_pair(result_name(report), row.ours, "ours"),
+                *(() if row.plain is None else _pair(TRADITIONAL, row.plain, "plain")),
+            ),
+            element("p", row.meaning),
+            class_="card",
+        )
+        for row in _measures(report)
+    ]
+
+
+def _counts(report: StackReport) -> Markup:
+    found = report.findings.measures
+    sentences = [
+        f"Of {found.pixels:,} pixels, {found.result.chromatic:,} have a hue in the result and "
+        f"{found.traditional.chromatic:,} in the {TRADITIONAL} one."
+    ]
+    if found.unmeasured:
+        sentences.append(f"{found.unmeasured:,} hold NaN or Inf and are left out.")
+    return element("p", *sentences, class_="note", by=" ")
+
+
+def _pair(name: str, value: float, kind: str) -> tuple[Markup, Markup]:
+    return (
+        element("dt", name, class_=kind),
+        element("dd", element("b", percent(value)), _bar(value), class_=kind),
+    )
+
+
+def _bar(value: float) -> Markup:
+    return element(
+        "svg",
+        element("rect", width=100 * min(1.0, value), height=6),
+        class_="bar",
+        viewBox="0 0 100 6",
+        preserveAspectRatio="none",
+        height=6,
+        aria_hidden="true",
+    )
+
+
+# --- hues and layers ------------------------------------------------------------------------------
+
+
+def _hues(report: StackReport) -> Markup:
+    found = report.findings
+    results = [(result_name(report), found.result), (TRADITIONAL, found.traditional)]
+    # A scale of their own: layers are often one bar, beside which a smear would be flat.
+    charts = Charts(results, Look())
+    figures = [
+        charts.figure(escaped(_title(name)), histogram, LARGE) for name, histogram in results
+    ]
+    return joined(
+        charts.colors(),
+        element("p", f"{charts.caption} Both charts have one scale.", class_="note"),
+        element("div", *figures, class_="charts", by="\n"),
+        by="\n",
+    )
+
+
+def _title(name: str) -> str:
+    return name[:1].upper() + name[1:]
+
+
+def _layers(report: StackReport) -> Markup:
+    found = report.findings
+    charts = Charts(list(zip(report.labels, found.layers, strict=True)), Look())
+    heads = ("Layer", "Peaks", "Pixels", "Hue survived", "Lost to grey")
+    rows = [
+        _layer_row(
+            joined(swatch(layer_color(histogram)), layer_name(number, label)),
+            found.measures.result.layers[number],
+            found.measures.traditional.layers[number],
+            peak_list(histogram) if histogram.chromatic else element("span", "no hue"),
+            heads,
+        )
+        for number, (label, histogram) in enumerate(zip(report.labels, found.layers, strict=True))
+    ]
+    ours, plain = found.measures.result.background, found.measures.traditional.background
+    if ours.chroma:
+        rows.append(_layer_row(escaped("background"), ours, plain, escaped(""), heads))
+    table = element(
+        "table",
+        element(
+            "caption",
+            "Bottom first. Pixels: where the layer contributes chroma. Hue survived: the share of "
+            f"those that show its hue. Small print: the {TRADITIONAL} result.",
+        ),
+        element(
+            "thead",
+            element(
+                "tr",
+                *(element("th", head, scope="col", role="columnheader") for head in heads),
+                role="row",
+            ),
+            role="rowgroup",
+        ),
+        element("tbody", *rows, role="rowgroup", by="\n"),
+        role="table",
+        by="\n",
+    )
+    figures = [
+        charts.figure(layer_name(number, label), histogram, SMALL)
+        for number, (label, histogram) in enumerate(zip(report.labels, found.layers, strict=True))
+    ]
+    return joined(
+        table,
+        element(
+            "p",
+            "The hues of each layer at its opacity, as far as it lies on the canvas, on one scale:",
+            class_="note",
+        ),
+        element("div", *figures, class_="charts small", by="\n"),
+        by="\n",
+    )
+
+
+def _layer_row(
+    name: Markup,
+    ours: ContributorMeasures,
+    plain: ContributorMeasures,
+    peaks: Markup,
+    heads: tuple[str, ...],
+) -> Markup:
+    def both(of: Callable[[ContributorMeasures], float]) -> Markup:
+        if not ours.pixels:
+            return escaped("–")
+        return joined(
+            element("b", percent(of(ours))),
+            _bar(of(ours)),
+            element("small", f"{TRADITIONAL} {percent(of(plain))}"),
+        )
+
+    cells = (
+        peaks,
+        f"{ours.pixels:,}",
+        both(lambda found: found.survived_share),
+        both(lambda found: found.lost),
+    )
+    return element(
+        "tr",
+        element("th", name, scope="row", role="rowheader"),
+        *(
+            element("td", cell, role="cell", data_head=head)
+            for head, cell in zip(heads[1:], cells, strict=True)
+        ),
+        role="row",
+    )
+
+
+# --- how it was made ------------------------------------------------------------------------------
+
+
+def _making(report: StackReport) -> Markup:
+    settings = [
+        part
+        for name, text in report.settings.items()
+        for part in (element("dt", name), element("dd", element("bdi", text)))
+    ]
+    parts = []
+    if report.command:
+        parts += [
+            element("h3", "Command"),
+            element(
+                "div",
+                element(
+                    "pre",
+                    element("code", _command(report.command), id="command"),
+                    tabindex=0,
+                    role="region",
+                    aria_label="Command",
+                ),
+                element(
+                    "p",
+                    element("button", "Copy", type="button", id="copy"),
+                    element("span", id="copied", role="status"),
+                    class_="buttons scripted",
+                    by=" ",
+                ),
+                class_="command",
+            ),
+        ]
+    else:
+        parts.append(element("p", "It was made from Python, not by a command."))
+    groups = [("Settings", settings)] if settings else []
+    versions = [
+        element("dt", "hpcomp"), element("dd", report.version),
+        element("dt", "engine"), element("dd", report.engine),
+    ]  # fmt: skip
+    groups.append(("Versions", versions))
+    lists = [
+        element("div", element("h3", title), element("dl", *rows, class_="settings"))
+        for title, rows in groups
+    ]
+    return joined(*parts, element("div", *lists, class_="columns"), by="\n")
+
+
+def _command(command: str) -> Markup:
+    """A command that does when it is pasted what it did, and shows what it will do.
+
+    What cannot be seen, or would turn the letters beside it around, stands between single quotes,
+    as `shlex.join` has it: there it is spelt out in the $'…' of POSIX shells.
+    """
+    shown = "".join(c if c.isprintable() else f"'$'{_spelt_out(c)}''" for c in command)
+    # Lines break between words, not at the hyphens of an option.
+    return joined(*(element("span", word) for word in shown.split(" ")), by=" ")
+
+
+def _spelt_out(character: str) -> str:
+    # A byte of a name that is no UTF-8 arrives as half a surrogate pair.
+    raw = "\udc80" <= character <= "\udcff"
+    code = character.encode("utf-8", "surrogateescape" if raw else "surrogatepass")
+    return "".join(f"\\x{byte:02x}" for byte in code)
