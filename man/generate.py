@@ -25,7 +25,7 @@ from hpcomp.cli import cli
 from hpcomp.encoding import COLOR_INTEROP_IDS, COLOR_SPACES
 from hpcomp.errors import EXIT_CODE_MEANINGS
 from hpcomp.porter_duff import OPERATORS, Operator
-from hpcomp.report.huedata import CSV_COLUMNS, JSON_KEYS
+from hpcomp.report import huedata, stackdata
 
 ROOT = Path(__file__).resolve().parent.parent
 README = ROOT / "README.md"
@@ -410,7 +410,7 @@ def _color_space_section() -> list[str]:
     return [*rows, ".PP", *prose(f"The IDs of the Color Interop Forum are names too: {ids}.")]
 
 
-def _json_section() -> list[str]:
+def _json_section(keys: dict[str, str]) -> list[str]:
     rows = [
         ".PP",
         *prose(
@@ -418,13 +418,13 @@ def _json_section() -> list[str]:
             "of the schema."
         ),
     ]
-    for key, meaning in JSON_KEYS.items():
+    for key, meaning in keys.items():
         rows += definition(bold(key), meaning)
     return rows
 
 
 def _csv_section() -> list[str]:
-    columns = ", ".join(f"`{name}`" for name in CSV_COLUMNS)
+    columns = ", ".join(f"`{name}`" for name in huedata.CSV_COLUMNS)
     return prose(
         f"The columns are {columns}. For each image there is a row of the kind `hue` for each bin, "
         "and one each of the kinds `grey`, `transparent` and `nonfinite`, which have a count "
@@ -476,10 +476,14 @@ EXTRA_SECTIONS: dict[str, list[tuple[str, Callable[[], list[str]]]]] = {
     "hpcomp": [("ENVIRONMENT", _environment), ("FILES", _files)],
     "hpcomp hues": [
         ("ENVIRONMENT", _hues_environment),
-        ("JSON", _json_section),
+        ("JSON", lambda: _json_section(huedata.JSON_KEYS)),
         ("CSV", _csv_section),
     ],
-    "hpcomp stack": [("OPERATORS", _operator_section), ("COLOUR SPACES", _color_space_section)],
+    "hpcomp stack": [
+        ("OPERATORS", _operator_section),
+        ("COLOUR SPACES", _color_space_section),
+        ("JSON", lambda: _json_section(stackdata.JSON_KEYS)),
+    ],
 }
 
 
