@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from .look import Entry, Look
-from .markup import element, joined
+from .markup import element, isolated, joined
 from .page import Section, page
 from .pagechart import LARGE, Charts
 
@@ -13,7 +13,7 @@ from .pagechart import LARGE, Charts
 def as_html(entries: Sequence[Entry], look: Look) -> bytes:
     """A page with a chart of each entry, on one scale."""
     charts = Charts(entries, look)
-    figures = [charts.figure(element("bdi", label), found, LARGE) for label, found in entries]
+    figures = [charts.figure(isolated(label), found, LARGE) for label, found in entries]
     content = joined(
         charts.colors(),
         element("p", charts.caption + _one_scale(entries), class_="note"),

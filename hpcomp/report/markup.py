@@ -50,6 +50,11 @@ def element(
     return Markup(f"{start}{joined(*content, by=by)}</{name}>")
 
 
+def isolated(text: str) -> Markup:
+    """A name from outside: letters that run to the left turn nothing around but themselves."""
+    return element("bdi", text, dir="ltr")
+
+
 def joined(*content: Content, by: str = "") -> Markup:
     """Content one after the other; what is empty is left out."""
     return Markup(by.join(escaped(part) for part in content if part))

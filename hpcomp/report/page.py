@@ -14,7 +14,7 @@ from functools import cache
 from pathlib import Path
 
 from .. import __version__
-from .markup import Content, Markup, element
+from .markup import Content, Markup, element, isolated
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ def page(kind: str, name: str, lead: Content, sections: Sequence[Section]) -> by
     header = element(
         "header",
         element("p", kind, class_="kind"),
-        element("h1", element("bdi", name)),
+        element("h1", isolated(name)),
         element("p", lead, class_="lead"),
         element("nav", element("ul", *links), aria_label="Sections") if len(links) > 1 else "",
         by="\n",

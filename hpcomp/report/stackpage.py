@@ -10,7 +10,7 @@ import numpy as np
 from ..histogram import HueHistogram
 from ..measures import ContributorMeasures, share
 from .look import Look, percent, srgb_hex
-from .markup import Content, Markup, element, escaped, joined
+from .markup import Content, Markup, element, escaped, isolated, joined
 from .page import Section, page
 from .pagechart import LARGE, SMALL, Charts, peak_list, swatch
 from .pagepictures import data_uri, mask, shown_size
@@ -220,7 +220,7 @@ def layer_name(number: int, label: str) -> Markup:
     begin = f"layer {number} ("
     if label.startswith(begin) and label.endswith(")"):
         label = label[len(begin) : -1]
-    return joined(element("span", str(number), class_="number"), " ", element("bdi", label))
+    return joined(element("span", str(number), class_="number"), " ", isolated(label))
 
 
 # --- numbers --------------------------------------------------------------------------------------
@@ -444,7 +444,7 @@ def _making(report: StackReport) -> Markup:
     settings = [
         part
         for name, text in report.settings.items()
-        for part in (element("dt", name), element("dd", element("bdi", text)))
+        for part in (element("dt", name), element("dd", isolated(text)))
     ]
     parts = []
     if report.command:
