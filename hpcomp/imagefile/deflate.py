@@ -35,7 +35,7 @@ def inflated(data: bytes, size: int) -> bytes:
     stream = isal_zlib.decompressobj(zlib.MAX_WBITS)
     content = bytes(stream.decompress(data, size))
     surplus = b"" if stream.eof else stream.decompress(stream.unconsumed_tail, 1)
-    if len(content) < size or surplus or not stream.eof:
+    if len(content) < size or surplus or not stream.eof or stream.unused_data:
         raise InflateError("not as long as it should be")
     return content
 

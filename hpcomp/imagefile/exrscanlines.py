@@ -6,6 +6,7 @@ are of this kind; all others are OpenImageIO's. OpenEXR: Technical Introduction,
 
 from __future__ import annotations
 
+import os
 import struct
 from array import array
 from collections.abc import Mapping, Sequence
@@ -29,6 +30,19 @@ _VERSION = 2
 _LONG_NAMES = 0x400
 #: No header of a plain file is longer.
 _HEADER_BYTES = 1 << 16
+#: The attributes that every header must have, and their types.
+_ATTRIBUTES = {
+    b"channels": b"chlist",
+    b"compression": b"compression",
+    b"dataWindow": b"box2i",
+    b"displayWindow": b"box2i",
+    b"lineOrder": b"lineOrder",
+    b"pixelAspectRatio": b"float",
+    b"screenWindowCenter": b"v2f",
+    b"screenWindowWidth": b"float",
+}
+#: What stands before the data of a block: its first row, and their size.
+_BLOCK_HEAD_BYTES = 8
 
 #: Of those compressions that are read here: their number in the header, and rows of a block.
 COMPRESSIONS = {"none": (0, 1), "zips": (2, 1), "zip": (3, 16)}
@@ -43,7 +57,7 @@ class ExrLayout:
     """Where the samples of a plain EXR lie.
 
     `channels`: of each by name its type, and where its plane begins in a row, in bytes.
-    `table_at`: where the offsets of the blocks stand.
+    `offsets`: of each block, from the top, where it begins in the file.
     """
 
     channels: dict[str, tuple[str, int]]
@@ -51,11 +65,7 @@ class ExrLayout:
     block_rows: int
     deflated: bool
     window: Window
-    table_at: int
-
-    @property
-    def blocks(self) -> int:
-        return -(-self.window.height // self.block_rows)
+    offsets: Sequence[int]
 
     def has(self, types: Mapping[str, str]) -> bool:
         """Whether these channels are there with these types: one type that can be read here."""
@@ -75,51 +85,84 @@ def layout_of(path: str) -> ExrLayout | None:
         return None  # whatever is wrong, OpenImageIO says it
 
 
-def _parsed(file: BinaryIO) -> ExrLayout | None:
+def _parsed(file: BinaryIO) -> ExrLayout:
+    """The layout; `ValueError`, or what a damaged header leads to, for any other file."""
     head = file.read(_HEADER_BYTES)
     magic, version = struct.unpack_from("<4sI", head)
-    if magic != _MAGIC or version & ~_LONG_NAMES != _VERSION:
-        return None
-    attributes: dict[bytes, bytes] = {}
+    types, values, end = _attributes(head)
+    if (
+        magic != _MAGIC
+        or version & ~_LONG_NAMES != _VERSION
+        or not _ATTRIBUTES.items() <= types.items()
+    ):
+        raise ValueError("not one part of rows")
+    left, top, right, bottom = struct.unpack("<4i", values[b"dataWindow"])
+    window = Window(left, top, right - left + 1, bottom - top + 1)
+    if window.width < 1 or window.height < 1:
+        raise ValueError("no pixels")
+    (compression,) = values[b"compression"]
+    block_rows = dict(COMPRESSIONS.values())[compression]
+    channels, row_bytes = _planes(values[b"channels"], window.width)
+    return ExrLayout(
+        channels,
+        row_bytes,
+        block_rows,
+        compression != COMPRESSIONS["none"][0],
+        window,
+        _offsets(file, end, -(-window.height // block_rows)),
+    )
+
+
+def _attributes(head: bytes) -> tuple[dict[bytes, bytes], dict[bytes, bytes], int]:
+    """The types and values of a header's attributes by name, and where the header ends."""
+    types: dict[bytes, bytes] = {}
+    values: dict[bytes, bytes] = {}
     at = 8
     while head[at]:
         name_end = head.index(0, at)
         type_end = head.index(0, name_end + 1)
         (size,) = struct.unpack_from("<I", head, type_end + 1)
-        begin = type_end + 5
-        attributes[head[at:name_end]] = head[begin : begin + size]
+        name, begin = head[at:name_end], type_end + 5
+        if name in types:
+            raise ValueError("an attribute that is there twice")
+        types[name], values[name] = head[name_end + 1 : type_end], head[begin : begin + size]
         at = begin + size
-    compression = attributes[b"compression"][0]
-    found = [rows for number, rows in COMPRESSIONS.values() if number == compression]
-    left, top, right, bottom = struct.unpack("<4i", attributes[b"dataWindow"])
-    window = Window(left, top, right - left + 1, bottom - top + 1)
-    planes = _planes(attributes[b"channels"], window.width)
-    if not found or planes is None or window.width < 1 or window.height < 1:
-        return None
-    channels, row_bytes = planes
-    return ExrLayout(
-        channels,
-        row_bytes,
-        found[0],
-        compression != COMPRESSIONS["none"][0],
-        window,
-        table_at=at + 1,
-    )
+    return types, values, at + 1
 
 
-def _planes(channels: bytes, width: int) -> tuple[dict[str, tuple[str, int]], int] | None:
-    """The planes of a row by channel, and its bytes; None where channels are subsampled."""
+def _offsets(file: BinaryIO, at: int, blocks: int) -> Sequence[int]:
+    """The table of so many blocks; `ValueError` where it cannot be right.
+
+    That of an interrupted writer has zeros; OpenEXR finds the blocks all the same.
+    """
+    file_bytes, end = os.fstat(file.fileno()).st_size, at + 8 * blocks
+    if end > file_bytes:
+        raise ValueError("a file that is too short")
+    file.seek(at)
+    offsets = array("Q", file.read(8 * blocks))
+    if min(offsets) < end or max(offsets) > file_bytes - _BLOCK_HEAD_BYTES:
+        raise ValueError("blocks outside the file")
+    return offsets
+
+
+def _planes(channels: bytes, width: int) -> tuple[dict[str, tuple[str, int]], int]:
+    """The planes of a row by channel, and its bytes.
+
+    `ValueError` where channels are subsampled, or not sorted: OpenEXR sorts them, and their planes.
+    """
     types = {number: (name, size) for name, (number, size) in _TYPES.items()}
-    planes, row_bytes, at = {}, 0, 0
+    planes: dict[str, tuple[str, int]] = {}
+    row_bytes, at, last = 0, 0, b""
     while channels[at]:
         end = channels.index(0, at)
+        name = channels[at:end]
         number, _, x_sampling, y_sampling = struct.unpack_from("<iIii", channels, end + 1)
-        if (x_sampling, y_sampling) != (1, 1):
-            return None
-        name, size = types[number]
-        planes[channels[at:end].decode()] = name, row_bytes
+        if (x_sampling, y_sampling) != (1, 1) or name <= last:
+            raise ValueError("not planes of whole rows, sorted by name")
+        kind, size = types[number]
+        planes[name.decode()] = kind, row_bytes
         row_bytes += size * width
-        at = end + 17
+        at, last = end + 17, name
     return planes, row_bytes
 
 
@@ -132,11 +175,10 @@ class ExrScanlines:
         self._file, self._layout, self._label = file, layout, label
         self._planes = [layout.channels[name][1] for name in names]
         self._dtype = _DTYPES[layout.channels[names[0]][0]]
-        self._offsets: Sequence[int] = ()
         block = layout.block_rows * layout.row_bytes
         # Deflated, inflated, and what the kernel needs to undo the packing.
         self.bytes_to_decode = 4 * block if layout.deflated else block
-        self.bytes_held = 16 * layout.blocks + 1024
+        self.bytes_held = 8 * len(layout.offsets) + 1024
         self.bytes_per_row = layout.window.width * len(names) * np.dtype(self._dtype).itemsize
 
     def close(self) -> None:
@@ -145,9 +187,6 @@ class ExrScanlines:
     def read(self, begin: int, end: int) -> Samples:
         """Rows `begin` to `end` in the file's coordinates. Errors: `InputError`."""
         layout = self._layout
-        if not self._offsets:
-            table = self._file.bytes_at(layout.table_at, 8 * layout.blocks)
-            self._offsets = array("Q", table)
         out = np.empty((end - begin, layout.window.width, len(self._planes)), self._dtype)
         first, last = begin - layout.window.y, end - layout.window.y - 1
         for number in range(first // layout.block_rows, last // layout.block_rows + 1):
@@ -167,11 +206,11 @@ class ExrScanlines:
 
     def _block(self, number: int, row: int, size: int) -> tuple[bytes, bool]:
         """A block of `size` bytes that begins with `row`, and whether it is packed as for ZIP."""
-        offset = self._offsets[number]
-        found_row, stored = struct.unpack("<iI", self._file.bytes_at(offset, 8))
+        offset = self._layout.offsets[number]
+        found_row, stored = struct.unpack("<iI", self._file.bytes_at(offset, _BLOCK_HEAD_BYTES))
         if found_row != row or stored > size:
             raise self._damage(row, "their block is not where it should be")
-        data = self._file.bytes_at(offset + 8, stored)
+        data = self._file.bytes_at(offset + _BLOCK_HEAD_BYTES, stored)
         if stored == size:
             return data, False  # stored as it is, where deflating gains nothing
         if not self._layout.deflated:
@@ -225,7 +264,7 @@ class ExrScanlineWriter(SegmentWriter[bytes]):
         self._offsets.append(self._position)
         self._put_bytes(struct.pack("<iI", self._next_row, len(segment)) + segment)
         self._next_row += self._segment_rows
-        self._position += 8 + len(segment)
+        self._position += _BLOCK_HEAD_BYTES + len(segment)
 
     def _complete(self) -> None:
         try:
