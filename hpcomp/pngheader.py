@@ -31,11 +31,15 @@ from .errors import InputError
 
 SIGNATURE = b"\x89PNG\r\n\x1a\n"
 
+#: Where the data of the first chunk begin, behind its size and kind.
+_FIRST_DATA = len(SIGNATURE) + 8
 #: Chunks whose content is kept; the others are only verified.
 _KEPT = {b"IHDR", b"tRNS", b"gAMA", b"cHRM", b"sRGB", b"iCCP", b"cICP", b"pHYs"}
 #: Those that must be understood.
 _CRITICAL = {b"IHDR", b"PLTE", b"IDAT", b"IEND"}
 _LARGEST = 2**31 - 1
+#: Of the pieces of image data so many are kept at most: 512 MiB, as libpng cuts them.
+MOST_PIECES = 1 << 16
 #: The depths of each colour type: grey, RGB, palette, grey and alpha, RGBA.
 _DEPTHS = {0: (1, 2, 4, 8, 16), 2: (8, 16), 3: (1, 2, 4, 8), 4: (8, 16), 6: (8, 16)}
 #: What a byte of deflated data can unpack to: deflate makes at most 1032 of one.
@@ -62,7 +66,10 @@ _CICP_TRANSFER: dict[int, Transfer] = {
 
 @dataclass(frozen=True)
 class PngHeader:
-    """What the chunks around the pixels say. `image_data`: offset and size of each IDAT."""
+    """What the chunks around the pixels say.
+
+    `image_data`: offset and size of each IDAT that is not empty; of `MOST_PIECES` + 1 at most.
+    """
 
     width: int
     height: int
@@ -173,15 +180,20 @@ def read_header(path: str) -> PngHeader:
     Errors: `InputError` (without the file's name) that says which chunk is damaged or missing.
     """
     kept: dict[bytes, bytes] = {}
-    image_data = []
+    image_data: list[tuple[int, int]] = []
+    image_bytes = 0
     with open(path, "rb") as file:
         if file.read(8) != SIGNATURE:
             raise InputError("not a PNG file: its signature is damaged")
         for kind, data, offset, size in _chunks(file):
-            if kind == b"IDAT":
-                image_data.append((offset, size))
-            elif kind[:1].isupper() and kind not in _CRITICAL:
+            if kind[:1].isupper() and kind not in _CRITICAL:
                 raise InputError(f"{_shown(kind)} must be understood and is not")
+            if (kind == b"IHDR") != (offset == _FIRST_DATA):
+                raise InputError(f"damaged PNG: {_shown(kind)} is out of place")
+            if kind == b"IDAT" and size:
+                image_bytes += size
+                if len(image_data) <= MOST_PIECES:
+                    image_data.append((offset, size))
             if kind in _KEPT and kind not in kept:
                 kept[kind] = data
     if len(kept.get(b"IHDR", b"")) != 13 or not image_data:
@@ -194,7 +206,7 @@ def read_header(path: str) -> PngHeader:
     if depth not in _DEPTHS.get(color_type, ()) or (deflate, filters) != (0, 0) or interlace > 1:
         raise InputError("damaged PNG: its header describes no kind of PNG that there is")
     # With several channels it would be more yet.
-    if width * height * depth > _MOST_BITS_OF_A_BYTE * sum(size for _, size in image_data):
+    if width * height * depth > _MOST_BITS_OF_A_BYTE * image_bytes:
         raise InputError(f"damaged PNG: its image data are too few for {width}x{height} pixels")
     return PngHeader(width, height, depth, color_type, interlace == 1, tuple(image_data), kept)
 

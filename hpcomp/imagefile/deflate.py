@@ -36,7 +36,7 @@ def inflated(data: bytes, size: int) -> bytes:
     content = bytes(stream.decompress(data, size))
     surplus = b"" if stream.eof else stream.decompress(stream.unconsumed_tail, 1)
     if len(content) < size or surplus or not stream.eof or stream.unused_data:
-        raise InflateError("not as long as it should be")
+        raise InflateError("another size")
     return content
 
 

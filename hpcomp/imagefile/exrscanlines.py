@@ -217,8 +217,8 @@ class ExrScanlines:
             raise self._damage(row, "their block is too short")
         try:
             return inflated(data, size), True
-        except InflateError as reason:
-            raise self._damage(row, str(reason)) from None
+        except InflateError:
+            raise self._damage(row, "their deflated data are damaged") from None
 
     def _damage(self, row: int, what: str) -> InputError:
         last = min(row + self._layout.block_rows, self._layout.window.bottom) - 1

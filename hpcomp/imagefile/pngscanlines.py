@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..errors import InputError
-from ..pngheader import PngHeader
+from ..pngheader import MOST_PIECES, PngHeader
 from ..samples import Samples
 from .deflate import InflateError, InflateStream
 from .packing import UNPACKS, png_unfiltered
@@ -46,7 +46,8 @@ class PngLayout:
 def layout_of(header: PngHeader) -> PngLayout | None:
     """The layout of a plain PNG that can be read here; None for any other."""
     plain = header.depth in (8, 16) and header.color_type in _CHANNELS and not header.interlaced
-    if not UNPACKS or not plain or b"tRNS" in header.chunks:
+    too_many = len(header.image_data) > MOST_PIECES
+    if not UNPACKS or not plain or too_many or b"tRNS" in header.chunks:
         return None
     return PngLayout(
         header.width,
@@ -83,11 +84,16 @@ class PngScanlines:
         layout = self._layout
         if begin < self._row:
             self._begin()
-        if begin > self._row:
+        try:
             at_once = self._rows_at_once()
             for row in range(self._row, begin, at_once):
                 self._next_rows(min(at_once, begin - row))
-        rows = self._next_rows(end - begin)
+            rows = self._next_rows(end - begin)
+            if end == layout.height:
+                self._check_end()
+        except InputError:
+            self._begin()  # the stream may stand inside a row
+            raise
         if layout.depth == 16:
             rows = rows.view(">u2").astype(np.uint16)
         return rows.reshape(end - begin, layout.width, layout.channels)
@@ -102,10 +108,10 @@ class PngScanlines:
         for begin in range(0, count, at_once):
             part = rows[begin : begin + at_once]
             filtered = np.empty((len(part), part.shape[1] + 1), np.uint8)
+            self._inflate(filtered.data.cast("B"))
             try:
-                self._inflate(filtered.data.cast("B"))
                 png_unfiltered(filtered, self._layout.pixel_bytes, self._above, part)
-            except (InflateError, ValueError) as reason:
+            except ValueError as reason:
                 raise self._damage(str(reason)) from None
             self._above = part[-1].copy()
             self._row += len(part)
@@ -115,18 +121,32 @@ class PngScanlines:
         """Fills `out` with the next bytes of the filtered rows."""
         filled = 0
         while filled < len(out):
-            content = self._stream.take(len(out) - filled)
+            content = self._content(len(out) - filled)
+            if not content:
+                raise self._damage("its image data end too early")
             out[filled : filled + len(content)] = content
             filled += len(content)
-            if not content:
-                piece = b"" if self._stream.ended else next(self._pieces, b"")
+
+    def _check_end(self) -> None:
+        """Reads on to the checksum behind the last row; rows that are too many are let be."""
+        if not self._content(1) and not self._stream.ended:
+            raise self._damage("its image data end too early")
+
+    def _content(self, size: int) -> bytes:
+        """Up to `size` bytes of the inflated data; none where the stream or the file ends."""
+        try:
+            while not (content := self._stream.take(size)) and not self._stream.ended:
+                piece = next(self._pieces, b"")
                 if not piece:
-                    raise self._damage("its image data end too early")
+                    break
                 self._stream.feed(piece)
+        except InflateError:
+            raise self._damage("its deflated data are damaged") from None
+        return content
 
     def _deflated_pieces(self) -> Iterator[bytes]:
         for offset, size in self._layout.pieces:
-            for begin in range(0, size, _PIECE_BYTES):  # an empty chunk gives none
+            for begin in range(0, size, _PIECE_BYTES):
                 yield self._file.bytes_at(offset + begin, min(_PIECE_BYTES, size - begin))
 
     def _damage(self, what: str) -> InputError:

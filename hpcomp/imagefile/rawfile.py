@@ -6,9 +6,7 @@ import os
 
 from ..errors import InputError, why
 
-#: Beyond this no file reaches, and reading there would be refused in other words.
-_FARTHEST = 1 << 62
-
+#: Device, number, size and time of the last change.
 Identity = tuple[int, int, int, int]
 
 
@@ -39,7 +37,9 @@ class RawFile:
     def bytes_at(self, offset: int, size: int) -> bytes:
         """`size` bytes from `offset` on; where the file ends before, an error says so."""
         try:
-            data = os.pread(self._opened(), size, offset) if offset < _FARTHEST else b""
+            descriptor, file_bytes = self._opened(), self._identity[2]
+            # What a damaged file asks for in vain is not even reserved.
+            data = os.pread(descriptor, size, offset) if offset + size <= file_bytes else b""
         except OSError as reason:
             raise InputError(f"{self._label}: cannot be read: {why(reason)}") from None
         if len(data) != size:
