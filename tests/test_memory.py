@@ -72,6 +72,9 @@ def files(tmp_path_factory):
         "tall.png": lambda path: path.write_bytes(png_bytes(WIDTH, 1200)),
         "tall.exr": lambda path: exrfile.write(path, planes(WIDTH, 1200)),
         "float.exr": lambda path: exrfile.write(path, planes(WIDTH, 300, np.float32)),
+        "noise.exr": lambda path: exrfile.write(
+            path, exrfile.planes("RGBA", WIDTH, 300), compression="none"
+        ),
         "interlaced.png": lambda path: path.write_bytes(png_bytes(1500, 400, interlaced=True)),
         "blocks.exr": lambda path: exrfile.write(path, planes(1000, 512), compression="dwab"),
         "tiles.exr": lambda path: exrfile.write(path, planes(1000, 512), tile=(256, 256)),
@@ -158,6 +161,32 @@ def test_layers_that_take_more_decoding(peak, name):
 @pytest.mark.parametrize("compression", ["none", "piz", "b44", "dwaa"])
 def test_output_that_takes_more_encoding(peak, compression):
     assert peak(["wide.png"] * 2, "exr", 48, 2, "--compression", compression) <= 48
+
+
+@pytest.mark.parametrize("threads", [1, 2, 4])
+@pytest.mark.parametrize("budget", [None, 192, 320])
+def test_output_in_blocks_of_256_rows(peak, files, tmp_path, budget, threads):
+    """DWAB takes the most of all: several blocks at once, each with tables of its own."""
+    options = "--compression", "dwab"
+    if budget is None:
+        layers = [files("tall.exr")] * 2
+        out = tmp_path / "out.exr"
+        _, _, stderr = run(layers, out, *options, "--threads", threads, "--max-memory", "256K")
+        budget = int(re.search(r"at least (\d+)M", stderr)[1])
+    assert peak(["tall.exr"] * 2, "exr", budget, threads, *options) <= budget
+
+
+@pytest.mark.parametrize("compression", ["piz", "b44", "htj2k32"])
+def test_output_in_many_threads(peak, compression):
+    """Each thread of OpenEXR has blocks of its own."""
+    assert peak(["tall.exr"] * 2, "exr", 64, 8, "--compression", compression) <= 64
+
+
+@pytest.mark.parametrize("compression", ["none", "zips", "zip"])
+def test_output_that_does_not_shrink(peak, compression):
+    """Noise is stored as it is: there is a second copy of the strip until it is written."""
+    options = "--depth", "float", "--compression", compression
+    assert peak(["noise.exr"] * 2, "exr", 32, 4, *options) <= 32
 
 
 @pytest.mark.parametrize("order", ["balanced", "simultaneous", "permutation"])

@@ -27,8 +27,9 @@ FORMATS = tuple(DEPTHS)
 
 #: The state and buffers of a codec.
 _CODEC_BYTES = 1 << 17
-#: The tables of one DWA compressor.
-_DWA_BYTES = 13 << 20
+#: The tables of one of OpenEXR's compressors: of DWA, and of any other.
+_COMPRESSOR_BYTES = {"dwaa": 13 << 20, "dwab": 13 << 20}
+_OTHER_COMPRESSOR_BYTES = 1 << 20
 
 
 def format_of_output(path: str, format: str | None = None) -> str:
@@ -67,21 +68,28 @@ class OutputForm:
         return self.format == "exr" and self.compression not in exrscanlines.COMPRESSIONS
 
     @property
+    def _stored_bytes(self) -> int:
+        """The samples of a pixel."""
+        return 4 * {"8": 1, "16": 2, "half": 2, "float": 4}[self.depth]
+
+    @property
     def bytes_per_pixel(self) -> int:
         """Memory of a pixel of a strip on its way to the file: its samples, filtered and packed."""
-        sample = {"8": 1, "16": 2, "half": 2, "float": 4}[self.depth]
-        return 4 * sample * (3 if self.format == "png" else 1)
+        if self.by_openimageio:
+            return self._stored_bytes
+        return self._stored_bytes * (3 if self.format == "png" else 2)
 
     def bytes_to_encode(self, width: int, threads: int) -> int:
         """Memory of the codec while it encodes rows of that width in so many threads."""
         if self.format == "png":
             # Segments gathered, filtered and deflated, one in each of two threads.
-            return _CODEC_BYTES + 8 * pngwriter.segment_bytes(width * self.bytes_per_pixel // 3)
+            return _CODEC_BYTES + 8 * pngwriter.segment_bytes(width * self._stored_bytes)
         rows = _ROWS_PER_BLOCK.get(self.compression, 1)
-        block = rows * width * self.bytes_per_pixel
-        if self.compression in ("dwaa", "dwab"):
+        block = rows * width * self._stored_bytes
+        if self.by_openimageio:
             # OpenEXR keeps two line buffers a thread, each with a compressor of its own.
-            return _CODEC_BYTES + 2 * threads * (_DWA_BYTES + 4 * block)
+            tables = _COMPRESSOR_BYTES.get(self.compression, _OTHER_COMPRESSOR_BYTES)
+            return _CODEC_BYTES + 2 * threads * (tables + 4 * block)
         return _CODEC_BYTES + 6 * block
 
     @staticmethod
