@@ -118,7 +118,7 @@ bool unfilter_pixels(const uint8_t *filtered, int64_t rows, int64_t row_bytes, c
     for (int64_t y = 0; y < rows; ++y) {
         const uint8_t filter = *filtered++;
         switch (filter) {
-        case kNone: std::memcpy(out, filtered, size_t(row_bytes)); break;
+        case kNone: std::memmove(out, filtered, size_t(row_bytes)); break;
         case kUp:
             for (int64_t i = 0; i < row_bytes; ++i) out[i] = uint8_t(filtered[i] + above[i]);
             break;
