@@ -24,7 +24,7 @@ from PIL import Image
 
 import hpcomp
 from hpcomp.errors import OutputError
-from hpcomp.imagefile import pngwriter
+from hpcomp.imagefile import segments
 from hpcomp.imagefile.pngwriter import COMPRESSIONS, PngWriter
 
 DTYPES = {8: np.uint8, 16: np.uint16}
@@ -406,7 +406,7 @@ class Failing:
 
 def calls_of_a_whole_run(monkeypatch, samples):
     file = Failing(10**9)
-    monkeypatch.setattr(pngwriter, "open", lambda *_: file, raising=False)
+    monkeypatch.setattr(segments, "open", lambda *_: file, raising=False)
     write(os.devnull, samples)
     return file.calls
 
@@ -415,9 +415,11 @@ class TestFailures:
     def test_of_any_call(self, monkeypatch):
         """Wherever it strikes: an `OutputError` with the system's reason, and a closed file."""
         samples = noise(1200, 70, 8)
-        for at in range(calls_of_a_whole_run(monkeypatch, samples)):
+        calls = calls_of_a_whole_run(monkeypatch, samples)
+        assert calls > 20
+        for at in range(calls):
             file = Failing(at)
-            monkeypatch.setattr(pngwriter, "open", lambda *_, file=file: file, raising=False)
+            monkeypatch.setattr(segments, "open", lambda *_, file=file: file, raising=False)
             opened = None
             with pytest.raises(OutputError) as caught:  # noqa: PT012
                 opened = writer(os.devnull, samples)
