@@ -51,9 +51,13 @@ class Budget:
         rules: StackRules,
         form: OutputForm,
         threads: int,
+        extra: tuple[int, int] = (0, 0),
     ) -> Budget:
-        """An estimate from above; the tests hold it against real peaks."""
-        if rules.reduction is Reduction.ALL_LAYERS or len(readers) <= LAYERS_AT_ONCE:
+        """An estimate from above; the tests hold it against real peaks.
+
+        `extra`: for each pixel of a strip and fixed, where all layers are looked at once more.
+        """
+        if rules.reduction is Reduction.ALL_LAYERS or any(extra) or len(readers) <= LAYERS_AT_ONCE:
             # Strips that are being finished still hold their layers.
             held = sum(reader.bytes_per_row for reader in readers) * (1 + writes_behind(threads))
         else:
@@ -68,12 +72,14 @@ class Budget:
         return Budget(
             per_row=held
             + reads_ahead(threads) * widest_row
-            + width * (decoded + writes_behind(threads) * (PLANES_BYTES + form.bytes_per_pixel)),
+            + width
+            * (decoded + writes_behind(threads) * (PLANES_BYTES + form.bytes_per_pixel + extra[0])),
             fixed=(NUMPY_BYTES if in_numpy else 0)
             + sum(reader.bytes_held for reader in readers)
             + threads * max(reader.bytes_to_decode for reader in readers)
             + form.bytes_to_encode(width, threads)
-            + threads * THREAD_BYTES,
+            + threads * THREAD_BYTES
+            + extra[1],
         )
 
     def rows(self, block: int, height: int, max_memory: int) -> int:

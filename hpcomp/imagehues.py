@@ -68,7 +68,7 @@ def _same_file(path: str, output: str) -> bool:
 
 def image_label(spec: LayerSpec) -> str:
     """What reports and errors call a picture."""
-    return spec.name or ("stdin" if spec.path == STDIN else spec.path)
+    return spec.title
 
 
 def read_hues(

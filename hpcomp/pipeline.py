@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from threading import Lock
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -42,17 +42,22 @@ from .samples import Samples, Strip, encode
 from .stackfile import layer_spec
 from .workers import Workers, thread_count
 
+if TYPE_CHECKING:  # only reports need them
+    from .evidence import Evidence
+    from .findings import StackFindings
+
 log = logging.getLogger("hpcomp")
 
 
 @dataclass(frozen=True)
 class StackResult:
-    """What `stack` wrote: the file, its windows, and what the file could not hold."""
+    """What `stack` wrote: the file, its windows, what the file could not hold, and findings."""
 
     output: str
     canvas: Window
     data_window: Window
     losses: Losses
+    findings: StackFindings | None = None
 
 
 def stack(
@@ -77,13 +82,25 @@ def stack(
     strict: bool = False,
     threads: int | None = None,
     max_memory: str | int = DEFAULT_MAX_MEMORY,
+    report: str | os.PathLike[str] | Sequence[str | os.PathLike[str]] = (),
+    provenance: str | os.PathLike[str] | None = None,
+    foreign_tolerance: float | None = None,
+    achromatic: float | None = None,
+    energy_weights: str | Sequence[float] | None = None,
+    bins: int | None = None,
+    command: str = "",
 ) -> StackResult:
     """Composites layer files, bottom first, into one file.
 
     `layers`: LAYER strings, paths or `LayerSpec`. `output`: a path ending in .png or .exr, or `-`
     for stdout with `format`. The options are those of `hpcomp stack` and mean the same;
     `background` is a CSS hex colour or straight linear RGB, `max_memory` bytes or `512M`, `1G`.
-    Returns: what was written. Nothing but a complete picture appears at `output`.
+    `report`: one path or several, each ending in .txt, .json, .csv, .svg, .png, .pdf or .html, for
+    what blending did to the hues; `foreign_tolerance` in degrees (twice `hue_tolerance` if None),
+    `achromatic` in [0, 1], `energy_weights` of red, green and blue, and `bins` decide what it
+    counts (0.02, an estimate and 360 if None); `command` is what it says made it.
+    `provenance`: a path ending in .exr, for the layer whose hue survived in each pixel.
+    Returns: what was written, and the findings of a report. Nothing but complete files appear.
     Errors: `SettingError`, `InputError`, `MismatchError`, `OutputError`.
     Warnings: `HpcompWarning`; errors with `strict`.
     Source: Chuang et al. 2009; Porter and Duff 1984.
@@ -95,6 +112,21 @@ def stack(
     if overscan and form.format == "png":
         raise SettingError("a PNG ends at its canvas: --overscan needs an EXR output")
     wanted_region = parse_window(region) if isinstance(region, str) else region
+    inquiry = None
+    if report or provenance:
+        from .evidence import Inquiry
+
+        inquiry = Inquiry.checked(
+            report,
+            provenance,
+            beside=output,
+            rules=rules,
+            kind=form.kind,
+            foreign_tolerance=foreign_tolerance,
+            achromatic=achromatic,
+            energy_weights=energy_weights,
+            bins=bins,
+        )
     n_threads = thread_count(threads)
     budget = parse_bytes(max_memory)
 
@@ -102,6 +134,8 @@ def stack(
     shown = "stdout" if output == STDIN else output
     with contextlib.ExitStack() as opened:
         target = opened.enter_context(whole_output(output, clobber=clobber))
+        if inquiry is not None:
+            inquiry = inquiry.opened(opened, clobber)
         stacked = opened.enter_context(
             opened_stack(specs, rules, canvas=canvas, nonfinite=nonfinite, notices=notices)
         )
@@ -112,10 +146,11 @@ def stack(
         )
         block = max(reader.rows_at_once for reader in readers)
         # More threads take more memory: no more of them than the budget has room for.
-        estimate = Budget.of(readers, window.width, rules, form, n_threads)
+        extra = (0, 0) if inquiry is None else inquiry.memory(len(readers), window)
+        estimate = Budget.of(readers, window.width, rules, form, n_threads, extra)
         while n_threads > 1 and estimate.least(min(block, window.height)) > budget:
             n_threads -= 1
-            estimate = Budget.of(readers, window.width, rules, form, n_threads)
+            estimate = Budget.of(readers, window.width, rules, form, n_threads, extra)
         strip_rows = estimate.rows(block, window.height, budget)
         opened.enter_context(codec_threads([*readers, form], reading=1, writing=n_threads))
         log.info(
@@ -142,14 +177,48 @@ def stack(
             pixels_per_metre=bottom.pixels_per_metre,
             label=shown,
         )
+        evidence = None
+        if inquiry is not None:
+            evidence = opened.enter_context(
+                inquiry.evidence(rules, window, placed_on, bottom.pixel_aspect)
+            )
         try:
-            losses = _run(placed, rules, window, strip_rows, form, writer, n_threads)
+            losses = _run(placed, rules, window, strip_rows, form, writer, n_threads, evidence)
             writer.finish()
         finally:
             writer.abandon()
+        if inquiry is not None and evidence is not None:
+            inquiry.publish(
+                evidence,
+                output=shown,
+                command=command,
+                settings=_settings_in_words(rules, form, placed_on, background),
+                labels=[spec.title for spec in specs],
+            )
         warn_of_zeroed(readers, notices)
         warn_of_losses(shown, losses, notices)
-    return StackResult(output, placed_on, window, losses)
+    return StackResult(
+        output, placed_on, window, losses, None if evidence is None else evidence.findings
+    )
+
+
+def _settings_in_words(
+    rules: StackRules,
+    form: OutputForm,
+    canvas: Window,
+    background: str | Sequence[float] | None,
+) -> dict[str, str]:
+    """What was chosen, as a report shows it."""
+    return {
+        "blending": rules.blending.name,
+        "order": rules.order.name,
+        "space": rules.space.name,
+        "hue tolerance": f"{rules.hue_tolerance:g}°",
+        "background": "none" if background is None else str(background),
+        "exposure": f"{rules.exposure:g} stops, left out of all measures",
+        "canvas": str(canvas),
+        "output": f"{form.format.upper()}, {form.depth}, {form.compression}",
+    }
 
 
 def read_layer(
@@ -259,10 +328,11 @@ def _run(
     form: OutputForm,
     writer: ImageWriter,
     threads: int,
+    evidence: Evidence | None,
 ) -> Losses:
     """Makes the picture: layers are read ahead, and results written behind.
 
-    Returns what the file could not hold.
+    Returns what the file could not hold. `evidence` is given all layers of a strip at once.
     """
 
     def strips() -> Iterator[Window]:
@@ -270,7 +340,7 @@ def _run(
             yield Window(window.x, begin, window.width, end - begin)
 
     at_once = LAYERS_AT_ONCE
-    if rules.reduction is Reduction.ALL_LAYERS:
+    if rules.reduction is Reduction.ALL_LAYERS or evidence is not None:
         at_once = len(layers)
     groups = list(_grouped(rules.arrival, at_once))
     reads = (
@@ -286,12 +356,16 @@ def _run(
             for group in groups:
                 arrived = [next(arriving) for _ in group]
                 workers.composite(partial(accumulator.add, group, arrived))
-                del arrived
             finish = partial(_finished, accumulator, layers, rows, window, form, losses, lock)
-            workers.write_behind(
-                partial(_prepared, finish, writer, rows.y - window.y), writer.write
-            )
-            del accumulator
+            prepare = partial(_prepared, finish, writer, rows.y - window.y)
+            write = writer.write
+            if evidence is not None:
+                by_number = list(arrived if group[0] == 0 else reversed(arrived))
+                prepare = partial(_both, prepare, partial(evidence.prepare, by_number, rows))
+                write = partial(_write_both, writer, evidence)
+                del by_number
+            workers.write_behind(prepare, write)
+            del accumulator, arrived, finish, prepare
         workers.flush()
     for what, seconds in workers.seconds.items():
         log.info("%s: %.3f s of all threads together", what, seconds)
@@ -326,3 +400,13 @@ def _finished(
 
 def _prepared(finish: Callable[[], Samples], writer: ImageWriter, begin: int) -> Any:
     return writer.prepare(begin, finish())
+
+
+def _both(first: Callable[[], Any], second: Callable[[], Any]) -> tuple[Any, Any]:
+    # In this order: a pixel that the first refuses is not measured.
+    return first(), second()
+
+
+def _write_both(writer: ImageWriter, evidence: Evidence, prepared: tuple[Any, Any]) -> None:
+    writer.write(prepared[0])
+    evidence.write(prepared[1])

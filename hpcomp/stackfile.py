@@ -49,6 +49,11 @@ class LayerSpec:
     def placement(self) -> Placement | None:
         return None if self.at is None else parse_placement(self.at)
 
+    @property
+    def title(self) -> str:
+        """What reports call the layer."""
+        return self.name or ("stdin" if self.path == "-" else self.path)
+
     def label(self, number: int) -> str:
         """How errors name the layer, such as `layer 3 (leaf.png)`."""
         shown = "stdin" if self.path == "-" else self.path

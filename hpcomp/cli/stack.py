@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shlex
+import sys
 from typing import Any
 
 import click
@@ -85,7 +87,46 @@ argument is an existing file; a value holds no comma. Keys: {", ".join(LAYER_KEY
     metavar="SIZE",
     help="Memory for pixels and codecs, such as 512M.",
 )
+@click.option(
+    "--report",
+    multiple=True,
+    metavar="PATH",
+    type=click.Path(readable=False),
+    help="Write what blending did to the hues, beside traditional blending: a path ending in .txt, "
+    ".json, .csv, .svg, .png, .pdf or .html; can be given several times.",
+)
+@click.option(
+    "--provenance",
+    metavar="PATH",
+    type=click.Path(readable=False),
+    help="Write an EXR of each pixel's surviving layer: layer (its number plus 1, 0 for none), "
+    "grey (the share of chroma that is cancelled), margin (over the strongest rival).",
+)
+@click.option(
+    "--foreign-tolerance",
+    type=float,
+    metavar="DEGREES",
+    help="Reports: a hue farther than this from every layer's is foreign; twice the hue tolerance "
+    "if not given.",
+)
+@click.option(
+    "--achromatic",
+    type=float,
+    metavar="0…1",
+    help="Reports: colours of less saturation are grey; 0.02 if not given.",
+)
+@click.option(
+    "--bins", type=int, metavar="N", help="Reports: bins of the histograms; 360 if not given."
+)
+@click.option(
+    "--energy-weights",
+    metavar="R,G,B",
+    help="Reports: shares of red, green and blue in the power of a display; 0.3,0.25,0.45, an "
+    "estimate, if not given.",
+)
 @message_options
 def command(layers: tuple[str, ...], output: str, **options: Any) -> None:
     pipeline = load("hpcomp.pipeline")
+    if options["report"]:
+        options["command"] = shlex.join(["hpcomp", *sys.argv[1:]])
     pipeline.stack(layers, output, **options)

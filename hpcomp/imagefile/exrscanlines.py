@@ -227,14 +227,19 @@ class ExrScanlines:
 
 @dataclass(frozen=True)
 class ExrForm:
-    """What a header says beside the channels: half or float RGBA, Rec. 709."""
+    """What a header says: RGBA of Rec. 709 in one depth, or data planes.
+
+    `planes`: name and type of the channels that are no colour, sorted by name; all types of as many
+    bytes as `depth`. Samples have them in the opposite order.
+    """
 
     depth: str
     compression: str
     data_window: Window
     display_window: Window
     pixel_aspect: float
-    pixels_per_inch: float | None
+    pixels_per_inch: float | None = None
+    planes: tuple[tuple[str, str], ...] = ()
 
 
 class ExrScanlineWriter(SegmentWriter[bytes]):
@@ -274,16 +279,21 @@ class ExrScanlineWriter(SegmentWriter[bytes]):
         self._put_bytes(struct.pack(f"<{len(self._offsets)}Q", *self._offsets))
 
 
+_REC709_ATTRIBUTES = [
+    (b"chromaticities", b"chromaticities", struct.pack("<8f", *REC709.xy.ravel())),
+    (b"colorInteropID", b"string", b"lin_rec709_scene"),
+]
+
+
 def _header(form: ExrForm, compression: int) -> bytes:
     """The attributes that the format asks for, and those that say what the colours mean."""
-    kind = _TYPES[form.depth][0]
     channels = b"".join(
-        name + b"\0" + struct.pack("<iIii", kind, 0, 1, 1) for name in (b"A", b"B", b"G", b"R")
+        name.encode() + b"\0" + struct.pack("<iIii", _TYPES[kind][0], 0, 1, 1)
+        for name, kind in form.planes or [(name, form.depth) for name in "ABGR"]
     )
     attributes = [
         (b"channels", b"chlist", channels + b"\0"),
-        (b"chromaticities", b"chromaticities", struct.pack("<8f", *REC709.xy.ravel())),
-        (b"colorInteropID", b"string", b"lin_rec709_scene"),
+        *([] if form.planes else _REC709_ATTRIBUTES),
         (b"compression", b"compression", bytes([compression])),
         (b"dataWindow", b"box2i", _box(form.data_window)),
         (b"displayWindow", b"box2i", _box(form.display_window)),

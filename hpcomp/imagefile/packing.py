@@ -49,13 +49,16 @@ def exr_unpacked(
 
 
 def exr_plain(samples: Samples) -> bytes:
-    """RGBA (rows, width, 4) as rows of planes A, B, G, R, as EXR stores them uncompressed."""
+    """Samples (rows, width, channels) as rows of planes, as EXR stores them uncompressed.
+
+    The last channel comes first: names are sorted, and RGBA stands as A, B, G, R.
+    """
     planes = np.moveaxis(samples[..., ::-1], 2, 1)
     return planes.astype(planes.dtype.newbyteorder("<")).tobytes()
 
 
 def exr_packed(samples: Samples) -> Bytes:
-    """RGBA (rows, width, 4) as what EXR's ZIP deflates: planes A, B, G, R, differences of bytes."""
+    """The same as what EXR's ZIP deflates: differences of the bytes of planes."""
     if UNPACKS:
         packed = np.empty(samples.nbytes, np.uint8)
         _kernel.exr_pack(np.ascontiguousarray(samples), packed)

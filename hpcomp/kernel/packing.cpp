@@ -78,29 +78,39 @@ void interleave(const PlanarRows &of, const uint16_t *planar, int64_t rows, uint
     }
 }
 
-void pack(const uint16_t *samples, int units, int64_t width, int64_t rows, uint8_t *split,
-          uint8_t *packed) {
-    const int64_t all = rows * width * 4 * units;
-    uint8_t *even = split, *odd = split + all;
+template <int Channels>
+void split_planes(const uint16_t *samples, int channels, int units, int64_t width, int64_t rows,
+                  uint8_t *even, uint8_t *odd) {
+    // Known to the compiler for the most frequent number, which it then vectorises.
+    const int64_t step = (Channels ? Channels : channels) * int64_t(units);
     for (int64_t y = 0; y < rows; ++y) {
-        for (int channel = 3; channel >= 0; --channel) {
-            const uint16_t *from = samples + y * width * 4 * units + channel * units;
+        for (int channel = channels - 1; channel >= 0; --channel) {
+            const uint16_t *from = samples + y * width * step + channel * units;
             if (units == 1) {
                 for (int64_t x = 0; x < width; ++x) {
-                    even[x] = uint8_t(from[4 * x]);
-                    odd[x] = uint8_t(from[4 * x] >> 8);
+                    even[x] = uint8_t(from[Channels ? x * Channels : x * step]);
+                    odd[x] = uint8_t(from[Channels ? x * Channels : x * step] >> 8);
                 }
             } else {
                 for (int64_t x = 0; x < width; ++x) {
-                    even[2 * x] = uint8_t(from[8 * x]);
-                    odd[2 * x] = uint8_t(from[8 * x] >> 8);
-                    even[2 * x + 1] = uint8_t(from[8 * x + 1]);
-                    odd[2 * x + 1] = uint8_t(from[8 * x + 1] >> 8);
+                    even[2 * x] = uint8_t(from[x * step]);
+                    odd[2 * x] = uint8_t(from[x * step] >> 8);
+                    even[2 * x + 1] = uint8_t(from[x * step + 1]);
+                    odd[2 * x + 1] = uint8_t(from[x * step + 1] >> 8);
                 }
             }
             even += width * units, odd += width * units;
         }
     }
+}
+
+void pack(const uint16_t *samples, int channels, int units, int64_t width, int64_t rows,
+          uint8_t *split, uint8_t *packed) {
+    const int64_t all = rows * width * channels * units;
+    if (channels == 4)
+        split_planes<4>(samples, channels, units, width, rows, split, split + all);
+    else
+        split_planes<0>(samples, channels, units, width, rows, split, split + all);
     packed[0] = split[0];
     for (int64_t i = 1; i < 2 * all; ++i) packed[i] = uint8_t(split[i] - split[i - 1] + kBias);
 }

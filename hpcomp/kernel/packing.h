@@ -23,10 +23,11 @@ struct Packing {
     void (*merge)(const uint8_t *packed, int64_t bytes, uint8_t *split, uint16_t *merged);
     // Gathers wanted channels of rows as interleaved samples.
     void (*interleave)(const PlanarRows &, const uint16_t *planar, int64_t rows, uint16_t *out);
-    // Rows of interleaved RGBA as what ZIP compresses: planes A, B, G, R in each row, split into
-    // even and odd bytes, and the difference of each byte to the one before it.
-    void (*pack)(const uint16_t *samples, int units, int64_t width, int64_t rows, uint8_t *split,
-                 uint8_t *packed);
+    // Rows of interleaved samples as what ZIP compresses: planes of the channels in each row, the last
+    // one first as RGBA is stored, split into even and odd bytes, and the difference of each byte to
+    // the one before it.
+    void (*pack)(const uint16_t *samples, int channels, int units, int64_t width, int64_t rows,
+                 uint8_t *split, uint8_t *packed);
     // The rows of a PNG from filtered ones, each behind its filter's number. False for a number
     // that is none. `above`: the row before the first.
     bool (*unfilter)(const uint8_t *filtered, int64_t rows, int64_t row_bytes, int pixel_bytes,

@@ -69,15 +69,15 @@ void exr_pack(Pixels samples, BytesOut out, const std::string &level) {
     const Packing &packing = *level_of(level).packing;
     const int units = units_of(samples.dtype());
     check_aligned(samples.data(), 2 * units);
-    if (samples.shape(2) != 4) throw nb::value_error("samples must be RGBA");
+    if (samples.shape(2) > 1024) throw nb::value_error("samples must have no more than 1024 channels");
     const size_t bytes = samples.size() * 2 * size_t(units);
     if (out.size() != bytes) throw nb::value_error("out must have a byte for each of the samples");
     if (bytes == 0) return;
     const nb::gil_scoped_release unlocked;
     static thread_local std::vector<uint8_t> split;
     split.resize(bytes);
-    packing.pack(static_cast<const uint16_t *>(samples.data()), units, int64_t(samples.shape(1)),
-                 int64_t(samples.shape(0)), split.data(), out.data());
+    packing.pack(static_cast<const uint16_t *>(samples.data()), int(samples.shape(2)), units,
+                 int64_t(samples.shape(1)), int64_t(samples.shape(0)), split.data(), out.data());
 }
 
 void check_pixel_bytes(int pixel_bytes, int64_t row_bytes) {
