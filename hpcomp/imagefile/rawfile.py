@@ -48,7 +48,9 @@ class RawFile:
 
     def _opened(self) -> int:
         if self._descriptor is None:
-            self._descriptor = os.open(self._path, os.O_RDONLY)
-            if _identity(os.fstat(self._descriptor)) != self._identity:
+            descriptor = os.open(self._path, os.O_RDONLY)
+            if _identity(os.fstat(descriptor)) != self._identity:
+                os.close(descriptor)
                 raise InputError(f"{self._label}: it was changed while it was read: try again")
+            self._descriptor = descriptor
         return self._descriptor
