@@ -66,6 +66,9 @@ HPCOMP_INLINE void span_of(float red, float green, float blue, float *largest, f
 
 // --- hue histograms ------------------------------------------------------------------------------
 
+// Pixels that are added at once where they share a bin.
+constexpr int kRun = 32;
+
 struct Hues {
     int64_t *bins;    // (bins + 1, kHueColumns)
     int64_t *others;  // (kOthers)
@@ -126,10 +129,25 @@ HPCOMP_INLINE void add_hues(const Rules &rules, const MeasureRules &measures, in
         units[kGreen][i] = units_of(within_addends(green[i]));
         units[kBlue][i] = units_of(within_addends(blue[i]));
     }
-    for (int i = 0; i < n; ++i) {
-        int64_t *row = hues.bins + int64_t(bin[i]) * kHueColumns;
-        row[kCount] += 1;
-        for (int column = kChroma; column <= kBlue; ++column) row[column] += units[column][i];
+    for (int begin = 0; begin < n; begin += kRun) {
+        const int end = n - begin < kRun ? n : begin + kRun;
+        int differs = 0;
+        for (int i = begin; i < end; ++i) differs |= bin[i] ^ bin[begin];
+        if (!differs) {  // as labels mostly have it
+            int64_t *row = hues.bins + int64_t(bin[begin]) * kHueColumns;
+            row[kCount] += end - begin;
+            for (int column = kChroma; column <= kBlue; ++column) {
+                int64_t sum = 0;
+                for (int i = begin; i < end; ++i) sum += units[column][i];
+                row[column] += sum;
+            }
+            continue;
+        }
+        for (int i = begin; i < end; ++i) {
+            int64_t *row = hues.bins + int64_t(bin[i]) * kHueColumns;
+            row[kCount] += 1;
+            for (int column = kChroma; column <= kBlue; ++column) row[column] += units[column][i];
+        }
     }
 }
 
