@@ -25,10 +25,10 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.1.0"
 
 if TYPE_CHECKING:
+    from .arrays import composite as composite
+    from .arrays import hue_add as hue_add
     from .checking import CheckResult as CheckResult
     from .checking import check as check
-    from .compositing import composite as composite
-    from .compositing import hue_add as hue_add
     from .encoding import Losses as Losses
     from .errors import ExitCode as ExitCode
     from .errors import HpcompError as HpcompError
@@ -63,8 +63,8 @@ if TYPE_CHECKING:
 _HOME = {
     "CheckResult": ".checking",
     "check": ".checking",
-    "composite": ".compositing",
-    "hue_add": ".compositing",
+    "composite": ".arrays",
+    "hue_add": ".arrays",
     "Losses": ".encoding",
     "ExitCode": ".errors",
     "HpcompError": ".errors",

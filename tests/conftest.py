@@ -6,7 +6,7 @@ import os
 import pytest
 from hypothesis import settings
 
-from hpcomp import compositing, engine
+from hpcomp import arrays, engine
 
 # Reproducible by default: a failure in CI fails on every machine. `thorough` looks for new cases.
 settings.register_profile("default", deadline=None, derandomize=True, max_examples=100)
@@ -19,7 +19,7 @@ def composite_by(name, *arguments, **rules):
     before = os.environ.get(engine.VARIABLE)
     os.environ[engine.VARIABLE] = name
     try:
-        return compositing.composite(*arguments, **rules)
+        return arrays.composite(*arguments, **rules)
     finally:
         if before is None:
             del os.environ[engine.VARIABLE]

@@ -22,7 +22,7 @@ from strategies import (
 from tolerances import ANGLE_DEG, FLOAT32, FLOAT64, HARD_SWITCH, HAS_HUE, ROUNDING, assert_near
 
 from hpcomp import addition
-from hpcomp.compositing import hue_add
+from hpcomp.arrays import hue_add
 from hpcomp.errors import HpcompError, SettingError
 
 # Cosine and sine of the defining angles are rounded, and the shoulder's slope, 1.5/τ a radian,

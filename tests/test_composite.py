@@ -26,7 +26,7 @@ from strategies import (
 )
 from tolerances import FLOAT32, FLOAT64, HARD_SWITCH, ROUNDING, assert_near
 
-from hpcomp.compositing import hue_add
+from hpcomp.arrays import hue_add
 from hpcomp.errors import ExitCode, HpcompError, SettingError
 
 RED = (1.0, 0.0, 0.0, 1.0)
@@ -482,7 +482,7 @@ class TestArguments:
 
 @pytest.mark.parametrize(
     "before",
-    ["", "hpcomp.hue_add", "import hpcomp.compositing", "from hpcomp.compositing import hue_add"],
+    ["", "hpcomp.hue_add", "import hpcomp.arrays", "from hpcomp.arrays import hue_add"],
 )
 def test_the_package_offers_the_function_whatever_was_imported_before(before):
     # A function and the module it lives in must not share a name: importing the module, even on

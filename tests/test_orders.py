@@ -21,7 +21,7 @@ from strategies import (
 )
 from tolerances import ANGLE_DEG, FLOAT32, FLOAT64, HARD_SWITCH, HAS_HUE, ROUNDING, assert_near
 
-from hpcomp.compositing import hue_add
+from hpcomp.arrays import hue_add
 from hpcomp.errors import SettingError
 from hpcomp.orders import ORDERS
 

@@ -4,17 +4,10 @@ Reading gives samples as stored and what they mean; writing takes samples of the
 Where a layer lies on the canvas, and what is done with it, is not known here.
 """
 
-from .description import (
-    METRES_PER_INCH,
-    STDIN,
-    ColorGroup,
-    ImageFile,
-    Part,
-    choose,
-    describe,
-    seekable,
-)
+from .description import describe
+from .parts import METRES_PER_INCH, ColorGroup, ImageFile, Part, choose
 from .reading import NONFINITE_POLICIES, STRIP_ROWS, LayerImage, LayerReader
+from .seekable import STDIN, seekable
 from .source import codec_threads
 from .writing import ImageWriter, OutputForm, format_of_output, open_writer
 

@@ -16,8 +16,8 @@ from .. import exrheader
 from ..encoding import REC709
 from ..errors import InputError, OutputError
 from ..samples import Samples
-from .description import Channel, Part
 from .exrscanlines import ExrForm
+from .parts import Channel, Part
 
 #: Of the sample types that files store.
 _SAMPLE_BYTES = {"uint8": 1, "uint16": 2, "half": 2, "float": 4, "uint": 4}

@@ -10,7 +10,7 @@ from ..encoding import color_space
 from ..errors import MismatchError, unknown_name
 from ..geometry import Window
 from ..samples import Decoding, Rgba, Samples, Strip, linear_rgba
-from .description import ColorGroup, ImageFile, Part
+from .parts import ColorGroup, ImageFile, Part
 from .source import source_of
 
 NONFINITE_POLICIES = ("error", "zero", "keep")

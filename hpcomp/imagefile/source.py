@@ -7,8 +7,8 @@ from collections.abc import Iterable, Iterator, Sequence
 from typing import Protocol
 
 from ..samples import Samples
-from .description import Channel, ImageFile, Part
 from .exrscanlines import ExrLayout, ExrScanlines
+from .parts import Channel, ImageFile, Part
 from .pngscanlines import PngLayout, PngScanlines
 from .rawfile import RawFile
 

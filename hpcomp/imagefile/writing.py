@@ -10,8 +10,9 @@ from ..errors import SettingError, unknown_name
 from ..geometry import Window
 from ..samples import Samples
 from . import exrscanlines, pngwriter
-from .description import METRES_PER_INCH, STDIN
 from .exrscanlines import ExrForm
+from .parts import METRES_PER_INCH
+from .seekable import STDIN
 
 EXR_COMPRESSIONS = (
     "zip", "none", "rle", "zips", "piz", "pxr24", "b44", "b44a", "dwaa", "dwab",

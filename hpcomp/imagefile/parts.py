@@ -1,0 +1,150 @@
+"""What a file holds, as data: its parts, their channels and colours, and which one is meant."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from ..encoding import ColorEncoding
+from ..errors import InputError
+from ..geometry import Window
+from .exrscanlines import ExrLayout
+from .pngscanlines import PngLayout
+from .rawfile import Identity
+
+METRES_PER_INCH = 0.0254
+
+
+@dataclass(frozen=True)
+class Channel:
+    """One channel of a part: its full name, its stored type, its index."""
+
+    name: str
+    type: str
+    index: int
+
+
+@dataclass(frozen=True)
+class ColorGroup:
+    """The channels of one layer name (empty for the default layer) that make up a colour.
+
+    `color` is R, G, B or a single Y; `alpha` is None where the group has none.
+    """
+
+    layer: str
+    color: tuple[Channel, ...]
+    alpha: Channel | None
+
+
+@dataclass(frozen=True)
+class Part:
+    """One picture of a file, and how it will be read; with a `layout`, without OpenImageIO."""
+
+    index: int
+    name: str
+    channels: tuple[Channel, ...]
+    groups: tuple[ColorGroup, ...]
+    data_window: Window
+    display_window: Window
+    tile: tuple[int, int] | None
+    rows_per_block: int
+    compression: str
+    deep: bool
+    interlaced: bool
+    pixel_aspect: float
+    pixels_per_metre: tuple[float, float] | None
+    encoding: ColorEncoding
+    encoding_source: str
+    problems: tuple[str, ...]
+    layout: ExrLayout | PngLayout | None = field(repr=False)
+
+
+@dataclass(frozen=True)
+class ImageFile:
+    """What a file is, from its headers alone. `format` is `png` or `exr`."""
+
+    path: str
+    format: str
+    parts: tuple[Part, ...]
+    identity: Identity = field(repr=False)
+
+    @property
+    def alpha_mode(self) -> str:
+        """How alpha relates to colour in this format where nothing else is said."""
+        return "straight" if self.format == "png" else "premultiplied"
+
+
+_COMPONENTS = {"r": "R", "red": "R", "g": "G", "green": "G", "b": "B", "blue": "B",
+               "x": "X", "y": "Y", "ry": "RY", "by": "BY", "a": "A", "alpha": "A"}  # fmt: skip
+
+
+def color_groups(channels: Sequence[Channel]) -> tuple[ColorGroup, ...]:
+    """The layers that have a colour: R, G and B, or Y; in the order of their first channel.
+
+    A Y beside an X is a coordinate, and one beside RY and BY is only a part of a colour.
+    """
+    layers: dict[str, dict[str, Channel]] = {}
+    for channel in channels:
+        layer, _, component = channel.name.rpartition(".")
+        known = _COMPONENTS.get(component.lower())
+        if known:
+            layers.setdefault(layer, {}).setdefault(known, channel)
+    groups = []
+    for layer, found in layers.items():
+        if all(name in found for name in "RGB"):
+            color = tuple(found[name] for name in "RGB")
+        elif "Y" in found and not found.keys() & {"X", "RY", "BY"}:
+            color = (found["Y"],)
+        else:
+            continue
+        groups.append(ColorGroup(layer, color, found.get("A")))
+    return tuple(groups)
+
+
+def choose(
+    file: ImageFile, *, part: str | None = None, layer: str | None = None, label: str | None = None
+) -> tuple[Part, ColorGroup]:
+    """The one colour that `part` (name or index) and `layer` name, or the only one there is.
+
+    Without `layer` the default RGBA goes before named layers. Errors: `InputError` that lists what
+    there is, for an unknown part or layer, for none, and for more than one.
+    """
+    label = label or file.path
+    parts = list(file.parts)
+    if part is not None:
+        parts = [p for p in parts if p.name == part] or [p for p in parts if str(p.index) == part]
+        if not parts:
+            there_is = ", ".join(_part_name(p) for p in file.parts)
+            raise InputError(f"{label}: there is no part '{part}': choose part= one of {there_is}")
+    flat = [p for p in parts if not p.deep]
+    if not flat:
+        raise InputError(
+            f"{label} is a deep EXR: flatten it first, with oiiotool --flatten for example"
+        )
+    colors = [(p, group) for p in flat for group in p.groups]
+    if layer is not None:
+        named = [(p, g) for p, g in colors if g.layer == layer]
+        if not named:
+            there_is = ", ".join(dict.fromkeys(g.layer or "(default)" for _, g in colors)) or "none"
+            raise InputError(f"{label}: there is no colour layer '{layer}': there is {there_is}")
+    else:
+        named = [(p, g) for p, g in colors if not g.layer] or colors
+    if not named:
+        channels = ", ".join(c.name for p in flat for c in p.channels)
+        raise InputError(f"{label} has no colour, only {channels}: R, G, B or Y is needed")
+    if len(named) > 1:
+        several_parts = len({p.index for p, _ in named}) > 1
+        key, names = (
+            ("part", [_part_name(p) for p, _ in named])
+            if several_parts
+            else ("layer", [g.layer for _, g in named])
+        )
+        raise InputError(
+            f"{label}: {len(named)} {key}s fit: choose {key}= one of "
+            + ", ".join(dict.fromkeys(names))
+        )
+    return named[0]
+
+
+def _part_name(part: Part) -> str:
+    return part.name or str(part.index)

@@ -1,0 +1,70 @@
+"""Files that can be read more than once: stdin and pipes are copied first."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import select
+import stat
+import sys
+from collections.abc import Iterator
+from typing import IO
+
+from ..errors import InputError, why
+
+STDIN = "-"
+
+
+@contextlib.contextmanager
+def seekable(path: str, label: str) -> Iterator[str]:
+    """A path that can be read more than once: stdin and pipes are copied to a temporary file."""
+    try:
+        special = path == STDIN or not _is_plain(path)
+    except OSError as reason:
+        raise InputError(f"{label}: cannot be read: {why(reason)}") from None
+    if not special:
+        yield path
+        return
+    if path == STDIN and sys.stdin is None:
+        raise InputError(f"{label}: stdin is closed")
+    with _unnamed_copy() as copy:
+        try:
+            if path == STDIN:
+                _copy_pipe(sys.stdin.fileno(), copy)
+            else:
+                with open(path, "rb", buffering=0) as pipe:
+                    _copy_pipe(pipe.fileno(), copy)
+            copy.flush()
+        except OSError as reason:
+            raise InputError(f"{label}: cannot be read: {why(reason)}") from None
+        yield copy.name if isinstance(copy.name, str) else f"/dev/fd/{copy.name}"
+
+
+def _unnamed_copy() -> IO[bytes]:
+    """A temporary file that goes with the process, however that ends, where the system has such."""
+    import tempfile  # with all that it imports, which plain files have no use for
+
+    if sys.platform == "linux":
+        return tempfile.TemporaryFile(prefix="hpcomp.")
+    return tempfile.NamedTemporaryFile(prefix="hpcomp.")
+
+
+#: Seconds after which a signal is noticed that arrived just before a read began to wait.
+_PATIENCE = 0.2
+
+
+def _copy_pipe(source: int, copy: IO[bytes]) -> None:
+    while True:
+        while not select.select([source], [], [], _PATIENCE)[0]:
+            pass
+        data = os.read(source, 1 << 20)
+        if not data:
+            return
+        copy.write(data)
+
+
+def _is_plain(path: str) -> bool:
+    """Whether libraries can open it again and again: no pipe, and a name that is UTF-8."""
+    mode = os.stat(path).st_mode
+    utf8 = path.isascii() or not any("\udc80" <= character <= "\udcff" for character in path)
+    return stat.S_ISDIR(mode) or (stat.S_ISREG(mode) and utf8)
