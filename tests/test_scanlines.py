@@ -28,7 +28,15 @@ from PIL import Image
 
 import hpcomp
 from hpcomp import InputError, MismatchError, OutputError, Window, pngheader
-from hpcomp.imagefile import choose, describe, exrscanlines, packing, pngscanlines, segments
+from hpcomp.imagefile import (
+    choose,
+    describe,
+    description,
+    exrscanlines,
+    packing,
+    pngscanlines,
+    segments,
+)
 from hpcomp.imagefile.exrscanlines import COMPRESSIONS, ExrForm, ExrScanlineWriter
 from hpcomp.imagefile.openimageio import OpenImageIOExrWriter, OpenImageIOSource
 from hpcomp.imagefile.rawfile import RawFile, identity_of
@@ -839,6 +847,18 @@ class TestChangedFiles:
         path.unlink()
         self.refuses(source, "cannot be read: no such file or directory")
         source.close()
+
+    def test_gone_before_its_header_is_read(self, files, monkeypatch):
+        path, _ = files
+        kind = path.suffix[1:]
+
+        def format_of(*_):
+            path.unlink()
+            return kind
+
+        monkeypatch.setattr(description, "_format_of", format_of)
+        with pytest.raises(InputError, match=r"^a: cannot be read: no such file"):
+            describe(str(path), "a")
 
     def test_open_files_stay_what_they_were(self, files):
         """Another file of that name is another file."""

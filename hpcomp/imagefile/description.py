@@ -30,9 +30,12 @@ def describe(path: str, label: str | None = None) -> ImageFile:
     """
     label = label or path
     kind = _format_of(path, label)
-    identity = identity_of(path)
-    parts = _png_parts(path, label) if kind == "png" else _exr_parts(path, label)
-    return ImageFile(path, kind, tuple(parts), identity)
+    parts_of = _png_parts if kind == "png" else _exr_parts
+    try:
+        identity = identity_of(path)  # before all else that is found out
+        return ImageFile(path, kind, tuple(parts_of(path, label)), identity)
+    except OSError as reason:
+        raise InputError(f"{label}: cannot be read: {why(reason)}") from None
 
 
 def _png_parts(path: str, label: str) -> Iterator[Part]:
