@@ -143,8 +143,8 @@ def to_rec709(primaries: Primaries) -> Float64 | None:
     """(3, 3): linear RGB of these primaries to Rec. 709, Bradford-adapted; None if the same."""
     if primaries is REC709:
         return None
-    with warnings.catch_warnings():
-        # colour warns of optional packages that nothing here needs.
+    # colour warns of optional packages that nothing here needs, and changes how numpy prints.
+    with warnings.catch_warnings(), np.printoptions():
         warnings.simplefilter("ignore")
         import colour
 

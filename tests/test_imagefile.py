@@ -6,6 +6,8 @@ import dataclasses
 import os
 import re
 import struct
+import subprocess
+import sys
 import time
 import zlib
 
@@ -824,6 +826,17 @@ def test_exr_colorspace_key_overrides_the_file(exr):
     encoded = expected.copy()
     encoded[..., :3] = pngfile.srgb_to_linear(encoded[..., :3])
     assert_pixels(pixels(path, colorspace="srgb"), encoded, FLOAT32)
+
+
+def test_how_numpy_prints_is_left_as_it_was(exr):
+    """The library that converts primaries changes it when it is imported."""
+    code = (
+        "import sys, numpy, hpcomp; before = numpy.get_printoptions(); "
+        "hpcomp.read_layer(sys.argv[1], colorspace='acescg'); "
+        "assert 'colour' in sys.modules; assert numpy.get_printoptions() == before"
+    )
+    path = exr(exrfile.rgba())
+    subprocess.run([sys.executable, "-c", code, path], check=True, cwd=path.parent)
 
 
 def test_exr_of_rec709_is_not_touched(exr):
