@@ -331,14 +331,27 @@ class TestShoulder:
             # 1.5/τ a radian, times the 6e-8 that rounding turns the vectors by.
             assert_near(self.e(apart, 0.05, dtype=dtype), expected, 1e-3)
 
-    @given(pair=any_pairs)
-    def test_between_sum_and_difference_in_the_shoulder(self, pair):
-        c1, c2, size = colors(pair)
+    @given(
+        hue_1=hues,
+        # Of different hue at the default tolerance, and of one at 90°.
+        apart=st.one_of(st.floats(2.001, 3.999), st.floats(2.001, 89.9)),
+        side=st.sampled_from([1, -1]),
+        chroma_1=chromas,
+        chroma_2=chromas,
+        luminance=st.floats(-1, 1e4),
+    )
+    def test_between_sum_and_difference_in_the_shoulder(
+        self, hue_1, apart, side, chroma_1, chroma_2, luminance
+    ):
+        c1 = np.array(color_of(hue_1, chroma_1, 0.5))
+        c2 = np.array(color_of(hue_1 + side * apart, chroma_2, luminance))
         whole = hue_add(c1, c2, hue_tolerance=90)
         none = hue_add(c1, c2, hue_tolerance=0)
-        e = oracle.shoulder(oracle.angle(difference(c1), difference(c2)), 2.0)
-        e_whole = oracle.shoulder(oracle.angle(difference(c1), difference(c2)), 90.0)
-        assume(e_whole == 1 and e < 1)
+        theta = oracle.angle(difference(c1), difference(c2))
+        e = oracle.shoulder(theta, 2.0)
+        assert oracle.shoulder(theta, 90.0) == 1
+        assert e < 1
+        size = max(np.abs(c1).max(), np.abs(c2).max())
         assert_near(hue_add(c1, c2), e * whole + (1 - e) * none, HARD_SWITCH, size)
 
     @pytest.mark.parametrize("hue_tolerance", [-1.0, -1e-9, math.nan, math.inf, 1000.0])
