@@ -418,9 +418,10 @@ void measure(const Rules &rules, const MeasureRules &measures, const Layer *laye
                 for (int i = 0; i < n; ++i) {
                     of[i] = __builtin_sqrtf(p0[i] * p0[i] + p1[i] * p1[i]);
                     total[i] += of[i];
-                    any |= bits_of(of[i]);
+                    // Not of its size: the square of what is very small is 0.
+                    any |= bits_of(p0[i]) | bits_of(p1[i]);
                 }
-                if (any) active[block.actives++] = k;
+                if (any & 0x7fffffffu) active[block.actives++] = k;
             }
 
             const int64_t result_sums = kResultSums + kContributorSums * terms;
