@@ -57,7 +57,8 @@ class Budget:
 
         `extra`: for each pixel of a strip and fixed, where all layers are looked at once more.
         """
-        if rules.reduction is Reduction.ALL_LAYERS or any(extra) or len(readers) <= LAYERS_AT_ONCE:
+        all_at_once = rules.reduction is Reduction.ALL_LAYERS or any(extra)
+        if all_at_once or len(readers) <= LAYERS_AT_ONCE:
             # Strips that are being finished still hold their layers.
             held = sum(reader.bytes_per_row for reader in readers) * (1 + writes_behind(threads))
         else:
@@ -66,7 +67,7 @@ class Budget:
         decoded = 0
         in_numpy = engine.active().DECODES_IN_NUMPY
         if in_numpy or not all(reader.is_plain for reader in readers):
-            at_once = len(readers) if rules.reduction is Reduction.ALL_LAYERS else LAYERS_AT_ONCE
+            at_once = len(readers) if all_at_once else LAYERS_AT_ONCE
             decoded = min(at_once, len(readers)) * RGBA_BYTES + DECODING_BYTES
         widest_row = max(reader.bytes_per_row for reader in readers)
         return Budget(

@@ -68,7 +68,7 @@ class Inquiry:
 
     @staticmethod
     def checked(
-        report: str | os.PathLike[str] | Sequence[str | os.PathLike[str]],
+        report: Sequence[str | os.PathLike[str]],
         provenance: str | os.PathLike[str] | None,
         *,
         beside: str,
@@ -83,18 +83,16 @@ class Inquiry:
 
         Errors: `SettingError`; `OutputError` where a library is missing.
         """
-        paths = [report] if isinstance(report, (str, os.PathLike)) else report
-        reports = tuple((os.fspath(path), report_format(os.fspath(path)).name) for path in paths)
+        reports = tuple(
+            (path, report_format(path, otherwise="").name) for path in map(os.fspath, report)
+        )
         for _, name in reports:
             load_stack_renderer(name)
         planes = None if provenance is None else os.fspath(provenance)
         if planes is not None and os.path.splitext(planes)[1].lower() != ".exr":
             raise SettingError(f"provenance {planes} is an EXR: end it in .exr")
-        outputs = [beside, *(path for path, _ in reports), *([] if planes is None else [planes])]
-        for path in outputs:
-            if outputs.count(path) > 1:
-                shown = "stdout" if path == STDOUT else path
-                raise SettingError(f"{shown} is named for two outputs: give each its own")
+        places = [beside, *(path for path, _ in reports)]
+        _check_places(places if planes is None else [*places, planes])
         settings = measure_settings(
             rules,
             half_step=half_step(kind),
@@ -174,6 +172,17 @@ class Inquiry:
                     file.write(content)
             except OSError as reason:
                 raise OutputError(f"{path}: cannot be written: {why(reason)}") from None
+
+
+def _check_places(paths: Sequence[str]) -> None:
+    """Refuses outputs of which one would replace another. Errors: `SettingError`."""
+    taken = set()
+    for path in paths:
+        place = path if path == STDOUT else os.path.realpath(path)
+        if place in taken:
+            shown = "stdout" if path == STDOUT else path
+            raise SettingError(f"{shown} is named for two outputs: give each its own")
+        taken.add(place)
 
 
 def _weights(given: str | Sequence[float] | None) -> tuple[float, float, float]:

@@ -112,12 +112,23 @@ def stack(
     if overscan and form.format == "png":
         raise SettingError("a PNG ends at its canvas: --overscan needs an EXR output")
     wanted_region = parse_window(region) if isinstance(region, str) else region
+    reports = [report] if isinstance(report, (str, os.PathLike)) else report
+    counted = {
+        "foreign tolerance": foreign_tolerance,
+        "achromatic": achromatic,
+        "energy weights": energy_weights,
+        "bins": bins,
+    }
     inquiry = None
-    if report or provenance:
+    if not reports and provenance is None:
+        for what, value in counted.items():
+            if value is not None:
+                raise SettingError(f"{what} {value} changes reports alone: name one with --report")
+    else:
         from .evidence import Inquiry
 
         inquiry = Inquiry.checked(
-            report,
+            reports,
             provenance,
             beside=output,
             rules=rules,

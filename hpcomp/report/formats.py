@@ -53,10 +53,12 @@ REPORT_FORMATS: dict[str, ReportFormat] = {
 }
 
 
-def report_format(output: str, name: str | None = None) -> ReportFormat:
+def report_format(
+    output: str, name: str | None = None, otherwise: str = ", or give --format"
+) -> ReportFormat:
     """The format of that name, else that of the output's ending; text for stdout.
 
-    Errors: `SettingError`.
+    `otherwise`: what else can be done about an ending that names none. Errors: `SettingError`.
     """
     if name is not None:
         if name not in REPORT_FORMATS:
@@ -69,9 +71,7 @@ def report_format(output: str, name: str | None = None) -> ReportFormat:
         if row.ending == ending:
             return row
     endings = ", ".join(row.ending for row in REPORT_FORMATS.values())
-    raise SettingError(
-        f"{output}: its ending names no format: end it in {endings}, or give --format"
-    )
+    raise SettingError(f"{output}: its ending names no format: end it in {endings}{otherwise}")
 
 
 def write_hue_report(
