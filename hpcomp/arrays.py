@@ -31,7 +31,7 @@ def composite(layers: Sequence[ArrayLike], **rules: Any) -> Array:
       `opacity` 1.0: one for all layers or one for each, in [0, 1];
       `blending` "hue-preserving", or "traditional";
       `order` "bottom-up", "top-down", "balanced", "simultaneous", "2,0,1" or a sequence of ints;
-      `space` "linear-rgb"; `hue_tolerance` 2.0, degrees between p vectors;
+      `space` "linear-rgb", or "xyz"; `hue_tolerance` 2.0, degrees between p vectors;
       `background` None, or straight linear RGB put under the result;
       `exposure` 0.0: stops, applied to the colour of the result.
     Returns: (…, 4), linear, premultiplied RGBA, alpha in [0, 1].

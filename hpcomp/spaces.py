@@ -27,6 +27,10 @@ REC709_WEIGHTS: tuple[float, float, float] = (
     0.07219231536073371,
 )
 
+#: Rec. ITU-R BT.709-6, item 1.3: (x, y) of the primaries red, green and blue, and of white, D65.
+REC709_CHROMATICITIES: tuple[tuple[float, float], ...] = ((0.64, 0.33), (0.3, 0.6), (0.15, 0.06))
+D65: tuple[float, float] = (0.3127, 0.3290)
+
 
 @dataclass(frozen=True)
 class PlaneCoefficients:
@@ -82,6 +86,47 @@ def linear_rgb(weights: tuple[float, float, float] = REC709_WEIGHTS) -> Space:
         from_p=tuple((float(column[0]), float(column[1])) for column in basis.T),
     )
 
+    return _linear("linear-rgb", found)
+
+
+def xyz(
+    weights: tuple[float, float, float] = REC709_WEIGHTS,
+    chromaticities: tuple[tuple[float, float], ...] = REC709_CHROMATICITIES,
+    white: tuple[float, float] = D65,
+) -> Space:
+    """CIE XYZ: p is what X and Z differ by from the grey of the same luminance.
+
+    `weights`: luminance of the primaries. `chromaticities`, `white`: their (x, y). The hues lie in
+    the same half-planes as in `linear_rgb`, the angles between them and |p| differ. CIE 15:2018.
+    """
+
+    def of_luminance(xy: tuple[float, float]) -> NDArray[np.float64]:
+        x, y = xy
+        return np.array([x / y, (1 - x - y) / y])  # X and Z of the chromaticity at Y = 1
+
+    to_p = [
+        [weights[i] * float(of_luminance(chromaticities[i])[row] - of_luminance(white)[row])
+         for i in (0, 2)]
+        for row in (0, 1)
+    ]  # fmt: skip
+    (red_x, blue_x), (red_z, blue_z) = to_p
+    determinant = red_x * blue_z - blue_x * red_z
+    # What p is in differences to green, and these in channels at Y = 0.
+    red_green = np.array([blue_z, -blue_x]) / determinant
+    blue_green = np.array([-red_z, red_x]) / determinant
+    green = -(weights[0] * red_green + weights[2] * blue_green)
+    columns = (green + red_green, green, green + blue_green)
+    found = PlaneCoefficients(
+        weights=(weights[0], weights[2]),
+        to_p=tuple((red, blue) for red, blue in to_p),
+        from_p=tuple((float(column[0]), float(column[1])) for column in columns),
+    )
+    return _linear("xyz", found)
+
+
+def _linear(name: str, found: PlaneCoefficients) -> Space:
+    """The space of these coefficients."""
+
     def forward(rgb: Array) -> tuple[Array, Array]:
         red, green, blue = rgb
         red_green, blue_green = red - green, blue - green
@@ -101,10 +146,10 @@ def linear_rgb(weights: tuple[float, float, float] = REC709_WEIGHTS) -> Space:
             rgb[channel] += luminance
         return rgb
 
-    return Space("linear-rgb", forward, inverse, found)
+    return Space(name, forward, inverse, found)
 
 
-SPACES: dict[str, Space] = {row.name: row for row in (linear_rgb(),)}
+SPACES: dict[str, Space] = {row.name: row for row in (linear_rgb(), xyz())}
 
 
 def space(name: str) -> Space:

@@ -107,6 +107,66 @@ def angle(d1, d2):
     return math.atan2(length(cross), u[0] * v[0] + u[1] * v[1] + u[2] * v[2])
 
 
+# --- blending spaces ----------------------------------------------------------------------------
+#
+# ⊕ sees a colour as a luminance and a vector in a plane. A space is another such vector, so a stack
+# is blended there by blending colours of linear RGB that have these vectors as difference vectors.
+
+
+def crossed(a, b):
+    return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
+
+
+#: Two unit vectors at right angles in the plane of the difference vectors.
+AXIS_1 = unit(difference((1.0, 0.0, 0.0)))
+AXIS_2 = unit(crossed(WEIGHTS, AXIS_1))
+
+#: X, Y, Z of each primary at the strength that it has in white.
+PRIMARIES_XYZ = tuple(
+    scaled(weight, xyz_of(primary))
+    for weight, primary in zip(WEIGHTS, BT709_PRIMARIES, strict=True)
+)
+
+
+def chroma_of_xyz(c):
+    """By how much X and Z differ from those of the grey at the same luminance."""
+    x, y, z = (math.fsum(c[i] * PRIMARIES_XYZ[i][row] for i in range(3)) for row in range(3))
+    white = xyz_of(D65)
+    return (x - white[0] * y, z - white[2] * y)
+
+
+def color_of_xyz(y, p):
+    """The colour of luminance y with the chroma p: Cramer's rule on X, Y, Z."""
+    white = xyz_of(D65)
+    red, green, blue = PRIMARIES_XYZ
+    wanted = (p[0] + white[0] * y, y, p[1] + white[2] * y)
+    whole = determinant(red, green, blue)
+    return (
+        determinant(wanted, green, blue) / whole,
+        determinant(red, wanted, blue) / whole,
+        determinant(red, green, wanted) / whole,
+    )
+
+
+#: By name: p of a colour, and the colour of a luminance and p.
+SPACES = {"xyz": (chroma_of_xyz, color_of_xyz)}
+
+
+def disguised(space, c):
+    """The colour of linear RGB that ⊕ takes for c in that space."""
+    chroma_of, _ = SPACES[space]
+    p = chroma_of(c)
+    return color(luminance(c), added(scaled(p[0], AXIS_1), scaled(p[1], AXIS_2)))
+
+
+def revealed(space, c):
+    """The colour whose disguise is c."""
+    _, color_of = SPACES[space]
+    d = difference(c)
+    p = tuple(sum(a * b for a, b in zip(d, axis, strict=True)) for axis in (AXIS_1, AXIS_2))
+    return color_of(luminance(c), p)
+
+
 # --- Algorithm 1 --------------------------------------------------------------------------------
 
 
@@ -337,3 +397,13 @@ def composite(
         c = add(c, scaled(1 - alpha, background), hue_tolerance)
         alpha = alpha + (1 - alpha)
     return (*c, alpha)
+
+
+def composite_in(space, layers, background=None, **job):
+    """`composite` in another space."""
+    result = composite(
+        [(*disguised(space, layer[:3]), layer[3]) for layer in layers],
+        background=None if background is None else disguised(space, background),
+        **job,
+    )
+    return (*revealed(space, result[:3]), result[3])

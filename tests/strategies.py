@@ -117,6 +117,7 @@ def valid_pairs(draw, hue_tolerance=2.0):
 
 #: Scene-linear layers: bright, a little negative, glow at alpha 0.
 hdr_layers = st.tuples(*[st.one_of(st.floats(-1, 1), st.floats(-100, 1e4))] * 3, alphas)
+any_pairs = st.one_of(valid_pairs(), st.tuples(hdr_layers, hdr_layers))
 
 
 @st.composite

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from strategies import (
     HUE_TOLERANCES,
     alphas,
+    any_pairs,
     color_of,
-    hdr_layers,
     hue_direction,
     hue_tolerances,
     hues,
@@ -32,7 +32,6 @@ SHOULDER = 1e-12
 RED, GREEN, BLUE = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
 PRIMARIES = (RED, GREEN, BLUE)
 
-any_pairs = st.one_of(valid_pairs(), st.tuples(hdr_layers, hdr_layers))
 chromas = st.floats(0.01, 1)
 
 

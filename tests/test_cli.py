@@ -18,6 +18,7 @@ import click
 import exrfile
 import numpy as np
 import OpenImageIO as oiio
+import oracle
 import pngfile
 import pytest
 from command import COMMAND, OLD, PATIENCE_S, Desk, command, hpcomp, shell, snapshot
@@ -350,6 +351,23 @@ def test_layer_setting_that_does_not_exist(desk, settings, words):
     )  # fmt: skip
 
 
+@pytest.mark.parametrize("space", package.SPACES)
+def test_space(desk, space):
+    desk.makes(
+        "stack", "base.png", "top.png", "-o", "out.exr", "--depth", "float", "--space", space
+    )
+    layers = [
+        package.read_layer(desk / name).pixels[0, 0].tolist() for name in ("base.png", "top.png")
+    ]
+    expected = oracle.composite(layers)
+    if space != "linear-rgb":
+        expected = oracle.composite_in(space, layers)
+    assert package.read_layer(desk / "out.exr").pixels[0, 0] == pytest.approx(expected, abs=2e-6)
+    desk.makes("stack", "base.png", "top.png", "-o", "out.exr", "--space", space,
+               "--report", "made.json")  # fmt: skip
+    assert json.loads((desk / "made.json").read_text())["space"] == space
+
+
 @pytest.mark.parametrize(
     ("options", "words"),
     [
@@ -361,7 +379,7 @@ def test_layer_setting_that_does_not_exist(desk, settings, words):
         (["--order", "0,2"], ["0,2", "permutation", "0 to 1"]),
         (["--order", "0,1,2"], ["0,1,2", "permutation", "0 to 1"]),
         (["--order", "0,-1"], ["0,-1", "permutation", "0 to 1"]),
-        (["--space", "lab"], ["lab", "linear-rgb"]),
+        (["--space", "lab"], ["'lab'", *package.SPACES]),
         (["--hue-tolerance", "-1"], ["-1", "0 to 90"]),
         (["--hue-tolerance", "nan"], ["nan", "0 to 90"]),
         (["--hue-tolerance", "wide"], ["wide", "--hue-tolerance"]),

@@ -42,7 +42,7 @@ def size_of(layers, background=None):
     return 1 + sum(max(abs(float(component)) for component in c) for c in colors)
 
 
-def run(composite, job, dtype=np.float64):
+def run(composite, job, dtype=np.float64, **rules):
     """An engine on the arguments of `oracle.composite`."""
     return composite(
         [np.array(layer, dtype) for layer in job["layers"]],
@@ -52,6 +52,7 @@ def run(composite, job, dtype=np.float64):
         order=job["order"],
         hue_tolerance=job["hue_tolerance"],
         background=job["background"],
+        **rules,
     )
 
 
@@ -130,6 +131,31 @@ class TestEngineIsTheOracle:
         actual = run(composite, job, np.float32)
         assert actual.dtype == np.float32
         assert_near(actual, oracle.composite(**job), FLOAT32, size)
+
+    @pytest.mark.parametrize(
+        ("dtype", "tolerance"),
+        [(np.float64, FLOAT64), (np.float32, FLOAT32)],
+        ids=["double", "single"],
+    )
+    @pytest.mark.parametrize("order", ORDERS)
+    @pytest.mark.parametrize("space", oracle.SPACES)
+    def test_other_spaces(self, composite, space, order, dtype, tolerance):
+        layers = self.LAYERS.astype(dtype)
+        expected = [
+            oracle.composite_in(space, [tuple(layer) for layer in pixel], order=order)
+            for pixel in layers.swapaxes(0, 1).tolist()
+        ]
+        size = 1 + np.abs(layers).max(axis=-1).sum(axis=0)[:, None]
+        actual = composite(list(layers), order=order, space=space)
+        assert_near(actual, expected, tolerance, size)
+
+    @pytest.mark.parametrize("space", oracle.SPACES)
+    @given(job=jobs())
+    def test_anything_in_other_spaces(self, composite, space, job):
+        tolerance = FLOAT64 if job["hue_tolerance"] else HARD_SWITCH
+        size = size_of(job["layers"], job["background"])
+        expected = oracle.composite_in(space, **job)
+        assert_near(run(composite, job, space=space), expected, tolerance, size)
 
     @given(pair=valid_pairs(), hue_tolerance=hue_tolerances)
     def test_two_layers_added_are_hue_add(self, composite, pair, hue_tolerance):

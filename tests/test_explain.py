@@ -294,9 +294,10 @@ def test_the_command_prints_text_or_json(desk):
     assert b"layer 0 (stdin)" in piped.stdout
 
 
-def test_the_command_takes_the_options_of_stack(desk):
+@pytest.mark.parametrize("space", hpcomp.SPACES)
+def test_the_command_takes_the_options_of_stack(desk, space):
     options = ["--order", "top-down", "--op", "xor", "--background", "#ff0000", "--exposure", "1",
-               "--hue-tolerance", "0", "--canvas", "9x9-1-1", "--space", "linear-rgb"]  # fmt: skip
+               "--hue-tolerance", "0", "--canvas", "9x9-1-1", "--space", space]  # fmt: skip
     desk.makes("stack", "a.png", "b.png", "-o", "made.exr", "--depth", "float", *options)
     found = json.loads(
         desk.makes("explain", "a.png", "b.png", "--at", "-1,0", "--format", "json", *options).stdout
@@ -304,6 +305,18 @@ def test_the_command_takes_the_options_of_stack(desk):
     layer = hpcomp.read_layer(desk / "made.exr")
     assert found["canvas"] == {"x": -1, "y": -1, "width": 9, "height": 9}
     assert found["result"]["rgba"] == layer.pixels[1, 0].tolist()
+    assert found["space"] == space
+
+
+@pytest.mark.parametrize("space", hpcomp.SPACES)
+def test_hue_and_chroma_are_those_of_the_space(desk, space):
+    found = json.loads(
+        desk.makes("explain", "a.png", "--at", "2,3", "--space", space, "--format", "json").stdout
+    )
+    (layer,), row = found["layers"], hpcomp.SPACES[space]
+    color = np.array(layer["rgba"][:3])
+    assert layer["chroma"] == pytest.approx(np.hypot(*row.forward(color[:, None])[1])[0])
+    assert layer["hue"] == pytest.approx(row.hue_axis.degrees(color), abs=1e-3)
 
 
 def test_a_pixel_outside_the_canvas_is_refused(desk):

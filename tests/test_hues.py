@@ -114,6 +114,19 @@ def test_settings_reach_the_histogram(desk):
     assert document["images"][0]["pixels"]["grey"] == found.grey > 0
 
 
+@pytest.mark.parametrize("space", hpcomp.SPACES)
+def test_hue_and_chroma_are_those_of_the_space(desk, space):
+    found = json.loads(desk.makes("hues", "b.png", "--space", space, "--format", "json").stdout)
+    row = hpcomp.SPACES[space]
+    histogram = found["images"][0]["histogram"]
+    assert found["space"] == space
+    for color in (np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0])):  # a half each
+        index = round(float(row.hue_axis.degrees(color))) % 360
+        assert histogram["count"][index] == 12 * 8 / 2
+        size = np.hypot(*row.forward(color[:, None])[1])[0]
+        assert histogram["chroma"][index] == pytest.approx(12 * 8 / 2 * size, rel=1e-5)
+
+
 @pytest.mark.parametrize("name", REPORT_FORMATS)
 def test_threads_do_not_change_a_byte(desk, name):
     one, many = (

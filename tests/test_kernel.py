@@ -236,6 +236,12 @@ class TestAgreement:
     def test_operator_blending_order(self, op, blending, order):
         assert_engines_agree(stack_rules(4, op=op, blending=blending, order=order), self.LAYERS)
 
+    @pytest.mark.parametrize("background", [None, (0.9, 0.1, 0.2)])
+    @pytest.mark.parametrize("order", ORDERS)
+    def test_xyz(self, order, background):
+        rules = stack_rules(4, order=order, space="xyz", background=background)
+        assert_engines_agree(rules, self.LAYERS)
+
     @pytest.mark.parametrize("hue_tolerance", [0.0, 0.01, 0.5, 10.0, 90.0])
     @pytest.mark.parametrize("order", ORDERS)
     def test_tolerance(self, order, hue_tolerance):

@@ -357,17 +357,30 @@ def distinct_labels(draw):
     return np.array(layers, np.float32), hue_tolerance
 
 
+@pytest.mark.parametrize("space", hpcomp.SPACES)
 @given(distinct_labels(), strategies.orders, st.lists(strategies.operators, min_size=4, max_size=4))
-def test_no_hue_of_a_hue_preserving_stack_is_foreign(stack, order, operators):
+def test_no_hue_of_a_hue_preserving_stack_is_foreign(space, stack, order, operators):
     """The paper's claim, before anything is quantised."""
     layers, hue_tolerance = stack
     found = hpcomp.stack_measures(
         layers,
         op=[None, *operators[: len(layers) - 1]],
         order=order,
+        space=space,
         hue_tolerance=hue_tolerance,
     )
     assert found.result.foreign == found.result.foreign_chroma == 0
+
+
+@pytest.mark.parametrize("space", hpcomp.SPACES)
+def test_chroma_is_that_of_the_space(space):
+    layers = [label(0, 0.3), label(120, 0.1)]
+    found = measured(layers, space=space)
+    colors = np.array(layers)[:, 0, :3].T
+    sizes = np.hypot(*hpcomp.SPACES[space].forward(colors)[1])
+    result = found.result
+    assert result.chroma * SUM_UNIT == pytest.approx(abs(sizes[0] - sizes[1]), abs=NEAR)
+    assert [layer.chroma * SUM_UNIT for layer in result.layers] == pytest.approx(sizes, abs=NEAR)
 
 
 def test_the_same_stacks_are_mostly_foreign_when_added_as_usual():

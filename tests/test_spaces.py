@@ -7,10 +7,13 @@ import oracle
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
-from tolerances import ROUNDING, assert_near
+from strategies import any_pairs, hue_tolerances, valid_pairs
+from tolerances import ANGLE_DEG, FLOAT64, HARD_SWITCH, HAS_HUE, ROUNDING, assert_near
 
+from hpcomp.compositing import hue_add
 from hpcomp.errors import SettingError
-from hpcomp.spaces import REC709_WEIGHTS, SPACES, space
+from hpcomp.hueaxis import HEXAGON
+from hpcomp.spaces import D65, REC709_CHROMATICITIES, REC709_WEIGHTS, SPACES, space
 
 # BT.709-6, item 3.2, prints the luminance coefficients with four digits.
 PRINTED_DIGITS = 5e-5
@@ -99,6 +102,103 @@ class TestEverySpace:
         assert back.shape == (3, *shape)
         assert {luminance.dtype, p.dtype, back.dtype} == {np.dtype(dtype)}
         assert np.array_equal(rgb, before)
+
+
+def angle_deg(p1, p2):
+    """Between two chroma vectors."""
+    return np.degrees(oracle.angle((*p1, 0.0), (*p2, 0.0)))
+
+
+#: How much ⊕ at 2° may turn a step of its inputs into, both in linear RGB. In linear-rgb the slope of
+#: the shoulder, 1 + 3/τ = 87, and the luminance; X and Z stretch what p is, to 195 at worst of 40 ways.
+STEEPEST = {"linear-rgb": 90, "xyz": 250}
+
+
+@pytest.mark.parametrize("name", SPACES)
+class TestAddition:
+    """§1.2, with the hue that the space measures."""
+
+    @given(pair=any_pairs, hue_tolerance=hue_tolerances)
+    def test_luminance_adds(self, name, pair, hue_tolerance):
+        c1, c2 = (layer[:3] for layer in pair)
+        result = hue_add(np.array(c1), np.array(c2), hue_tolerance=hue_tolerance, space=name)
+        expected = oracle.luminance(c1) + oracle.luminance(c2)
+        assert_near(oracle.luminance(result), expected, 10 * ROUNDING, size(c1, c2))
+
+    @given(pair=valid_pairs(), hue_tolerance=hue_tolerances)
+    def test_hue_is_an_inputs_within_twice_the_tolerance(self, name, pair, hue_tolerance):
+        c1, c2 = (layer[:3] for layer in pair)
+        result = hue_add(np.array(c1), np.array(c2), hue_tolerance=hue_tolerance, space=name)
+        p, p1, p2 = (forward(name, c)[1] for c in (result, c1, c2))
+        assume(np.hypot(*p) > HAS_HUE * size(c1, c2))
+        nearest = min(angle_deg(p, q) for q in (p1, p2) if any(q))
+        assert nearest <= max(2 * hue_tolerance, np.degrees(oracle.ROUNDING_ANGLE)) + ANGLE_DEG
+
+    @given(pair=any_pairs, hue_tolerance=hue_tolerances, k=st.floats(1e-3, 1e3))
+    def test_homogeneous(self, name, pair, hue_tolerance, k):
+        c1, c2 = (np.array(layer[:3]) for layer in pair)
+        whole = hue_add(k * c1, k * c2, hue_tolerance=hue_tolerance, space=name)
+        expected = k * hue_add(c1, c2, hue_tolerance=hue_tolerance, space=name)
+        tolerance = FLOAT64 if hue_tolerance else HARD_SWITCH
+        assert_near(whole, expected, tolerance, k * size(c1, c2))
+
+    @given(pair=valid_pairs(), hue_tolerance=hue_tolerances)
+    def test_in_gamut(self, name, pair, hue_tolerance):
+        (*c1, alpha_1), (*c2, alpha_2) = pair
+        result = hue_add(np.array(c1), np.array(c2), hue_tolerance=hue_tolerance, space=name)
+        assert result.min() >= -FLOAT64
+        assert result.max() <= alpha_1 + alpha_2 + FLOAT64
+
+    @given(greys=st.tuples(*[st.floats(0, 1e4)] * 2))
+    def test_greys_stay_grey_to_the_last_bit(self, name, greys):
+        c1, c2 = (np.full(3, grey) for grey in greys)
+        result = hue_add(c1, c2, space=name)
+        assert result.max() == result.min()
+
+    @pytest.mark.parametrize("seed", range(4))
+    def test_continuous_along_random_paths(self, name, seed):
+        # Straight ways from corner to corner of what is valid, through both shoulders.
+        rng = np.random.default_rng(seed)
+        steps = 20_000
+        corners = rng.random((2, 9, 3)) ** rng.uniform(0.3, 4, (2, 9, 1))
+        at = np.linspace(0, 8, steps + 1)
+        c1, c2 = (
+            np.stack([np.interp(at, np.arange(9), way[:, i]) for i in range(3)], axis=1)
+            for way in corners
+        )
+        result = hue_add(c1, c2, space=name)
+        jumps = np.linalg.norm(np.diff(result, axis=0), axis=1)
+        moved = sum(np.linalg.norm(np.diff(c, axis=0), axis=1) for c in (c1, c2))
+        assert (jumps / moved).max() <= STEEPEST[name]
+
+
+class TestXyz:
+    @given(c=any_colors)
+    def test_p_is_what_x_and_z_differ_by_from_grey(self, c):
+        _, p = forward("xyz", c)
+        assert_near(p, oracle.chroma_of_xyz(c), ROUNDING, size(c))
+
+    def test_is_the_xyz_of_colour_science(self):
+        colour = pytest.importorskip("colour")
+        bt709 = colour.RGB_Colourspace("709", REC709_CHROMATICITIES, D65)
+        white = colour.xy_to_XYZ(D65)
+        rgb = np.random.default_rng(1).random((50, 3))
+        x, y, z = (rgb @ bt709.matrix_RGB_to_XYZ.T).T
+        luminance, p = space("xyz").forward(rgb.T)
+        assert_near(luminance, y, 1e-14)
+        assert_near(p, [x - white[0] * y, z - white[2] * y], 1e-14)
+
+    @given(c=any_colors, grey=st.floats(-10, 10), k=st.floats(0.01, 10))
+    def test_the_half_planes_are_those_of_linear_rgb(self, c, grey, k):
+        _, p = forward("xyz", c)
+        _, other = forward("xyz", tuple(k * component + grey for component in c))
+        assert_near(other, k * np.array(p), 1e2 * ROUNDING, k * size(c) + abs(grey))
+        assert SPACES["xyz"].hue_axis is HEXAGON
+
+    @given(grey=st.floats(-1e4, 1e4))
+    def test_grey_has_exactly_no_chroma(self, grey):
+        _, p = forward("xyz", (grey,) * 3)
+        assert not any(p)
 
 
 class TestLinearRgb:
