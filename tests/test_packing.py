@@ -275,16 +275,33 @@ class TestPng:
         nothing = np.zeros(rows.shape[1], np.uint8)
         assert same(png_unfiltered(filtered, pixel_bytes, nothing), rows)
 
+    @pytest.mark.parametrize("built", [True, False])
     @pytest.mark.parametrize("pixel_bytes", PIXEL_BYTES)
-    @pytest.mark.parametrize("largest", [0, 128])
-    def test_sums_of_long_rows(self, pixel_bytes, largest):
-        """Sums of parts of a row are added up: one more or less in a part decides the filter."""
-        width = 24 * 3001
-        rows = np.zeros((4, width), np.uint8)
-        rows[1::2] = largest  # as large as differences get
-        rows[:, width // 2 :: pixel_bytes] += np.arange(4, dtype=np.uint8)[:, None]
+    def test_of_equal_sums_the_row_above(self, monkeypatch, pixel_bytes, built):
+        """One pixel below nothing is as far from the left as from above."""
+        if not built:
+            monkeypatch.setattr(packing, "_kernel", None)
+        rows = random_bytes(2, pixel_bytes)
+        rows[0] = 0
+        assert packing.png_filtered(rows, pixel_bytes)[:, 0].tolist() == [1, 2]
+
+    @pytest.mark.parametrize("pixel_bytes", PIXEL_BYTES)
+    def test_all_of_a_long_row_counts(self, pixel_bytes):
+        """Its beginning decides against its end, whose differences are the smaller above."""
+        width, step = 24 * 1000, 24 * 200
+        rows = np.zeros((3, width), np.uint8)
+        rows[1, :step] = 128  # as large as differences get
+        rows[1:, step:] = np.arange(width - step) // pixel_bytes % 2
         filtered = packing.png_filtered(rows, pixel_bytes)
+        assert filtered[:, 0].tolist() == [1, 1, 1]
         assert same(filtered, naive_png_filtered(rows, pixel_bytes))
+        # And the other way round.
+        rows[1] = rows[0] = np.arange(width) % 251
+        rows[1, step:] = 7
+        assert packing.png_filtered(rows, pixel_bytes)[1, 0] == 1
+        rows[1] = rows[0]
+        rows[1, -24:] += 3
+        assert packing.png_filtered(rows, pixel_bytes)[1, 0] == 2
 
     def test_where_the_kernel_was_not_built(self, monkeypatch):
         made = []
