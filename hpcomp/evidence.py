@@ -84,7 +84,8 @@ class Inquiry:
         Errors: `SettingError`; `OutputError` where a library is missing.
         """
         reports = tuple(
-            (path, report_format(path, otherwise="").name) for path in map(os.fspath, report)
+            (path, report_format(path, otherwise="").name)
+            for path in (os.fspath(path) for path in report)
         )
         for _, name in reports:
             load_stack_renderer(name)

@@ -129,24 +129,27 @@ HPCOMP_INLINE void add_hues(const Rules &rules, const MeasureRules &measures, in
         units[kGreen][i] = units_of(within_addends(green[i]));
         units[kBlue][i] = units_of(within_addends(blue[i]));
     }
+    // Unsigned: the row of those that belong in none takes NaN, too, and may wrap around.
+    uint64_t *rows = reinterpret_cast<uint64_t *>(hues.bins);
     for (int begin = 0; begin < n; begin += kRun) {
         const int end = n - begin < kRun ? n : begin + kRun;
         int differs = 0;
         for (int i = begin; i < end; ++i) differs |= bin[i] ^ bin[begin];
         if (!differs) {  // as labels mostly have it
-            int64_t *row = hues.bins + int64_t(bin[begin]) * kHueColumns;
-            row[kCount] += end - begin;
+            uint64_t *row = rows + int64_t(bin[begin]) * kHueColumns;
+            row[kCount] += uint64_t(end - begin);
             for (int column = kChroma; column <= kBlue; ++column) {
-                int64_t sum = 0;
-                for (int i = begin; i < end; ++i) sum += units[column][i];
+                uint64_t sum = 0;
+                for (int i = begin; i < end; ++i) sum += uint64_t(units[column][i]);
                 row[column] += sum;
             }
             continue;
         }
         for (int i = begin; i < end; ++i) {
-            int64_t *row = hues.bins + int64_t(bin[i]) * kHueColumns;
+            uint64_t *row = rows + int64_t(bin[i]) * kHueColumns;
             row[kCount] += 1;
-            for (int column = kChroma; column <= kBlue; ++column) row[column] += units[column][i];
+            for (int column = kChroma; column <= kBlue; ++column)
+                row[column] += uint64_t(units[column][i]);
         }
     }
 }
