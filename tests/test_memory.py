@@ -78,6 +78,8 @@ def files(tmp_path_factory):
         "interlaced.png": lambda path: path.write_bytes(png_bytes(1500, 400, interlaced=True)),
         "blocks.exr": lambda path: exrfile.write(path, planes(1000, 512), compression="dwab"),
         "tiles.exr": lambda path: exrfile.write(path, planes(1000, 512), tile=(256, 256)),
+        "narrow.exr": lambda path: exrfile.write(path, planes(500, 1500)),
+        "narrow tall.exr": lambda path: exrfile.write(path, planes(500, 6000)),
     }
 
     @cache
@@ -243,6 +245,51 @@ def test_height_does_not_matter_to_a_check(files, ending):
         for name in ("wide", "tall")
     )
     assert high - low <= 12
+
+
+# ---- reports --------------------------------------------------------------------------------
+
+
+@pytest.fixture(params=["json", "html", "provenance"])
+def told(request, tmp_path):
+    """Options for something that a stack is to tell beside its picture."""
+    if request.param == "provenance":
+        return "--provenance", tmp_path / "told.exr"
+    return "--report", tmp_path / f"told.{request.param}"
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+@pytest.mark.parametrize("name", ["wide.png", "wide.exr"])
+def test_reports_of_four_layers_stay_in_the_budget(peak, told, name, threads):
+    assert peak([name] * 4, "exr", 48, threads, *told) <= 48
+
+
+@pytest.mark.parametrize("order", ["bottom-up", "top-down", "simultaneous"])
+def test_reports_of_many_layers_stay_in_the_budget(peak, told, order):
+    """All layers of a strip are looked at together, whatever the order, and decoded for that."""
+    layers = ["wide.exr", "wide.exr::colorspace=srgb"] * 12
+    assert peak(layers, "exr", 112, 2, "--order", order, *told) <= 112
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_height_does_not_matter_to_a_report(peak, told, threads):
+    """Four times the rows; whole, the three layers would take 50 MiB more. A page's pictures have
+    a largest size, whatever the canvas."""
+    low = peak(["narrow.exr"] * 3, "exr", 40, threads, *told)
+    high = peak(["narrow tall.exr"] * 3, "exr", 40, threads, *told)
+    assert high - low <= 12
+
+
+@pytest.mark.parametrize("engine_name", list(dict.fromkeys([engine.active().NAME, "reference"])))
+def test_minimum_of_a_report(peak, files, tmp_path, told, engine_name):
+    env = {"HPCOMP_ENGINE": engine_name}
+    layers, options = [files("wide.exr")] * 3, ("--threads", 2, *told)
+    _, code, stderr = run(
+        layers, tmp_path / "out.exr", *options, "--max-memory", "256K", env=env
+    )
+    assert code == 4
+    least = int(re.search(r"needs at least (\d+)M", stderr)[1])
+    assert peak(["wide.exr"] * 3, "exr", least, 2, *told, env=env) <= least + NOISE_M
 
 
 # ---- the least ------------------------------------------------------------------------------
