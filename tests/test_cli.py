@@ -293,31 +293,7 @@ def test_region_outside_the_canvas(desk):
 
 # ---- bad input: settings --------------------------------------------------------------------
 
-OPERATORS = [
-    "clear",
-    "src",
-    "copy",
-    "dst",
-    "over",
-    "src-over",
-    "dst-over",
-    "under",
-    "in",
-    "src-in",
-    "dst-in",
-    "mask",
-    "out",
-    "src-out",
-    "dst-out",
-    "stencil",
-    "atop",
-    "src-atop",
-    "dst-atop",
-    "xor",
-    "plus",
-    "add",
-    "lighter",
-]
+OPERATORS = ["clear", "src", "copy", "dst", "over", "src-over", "dst-over", "under", "in", "src-in", "dst-in", "mask", "out", "src-out", "dst-out", "stencil", "atop", "src-atop", "dst-atop", "xor", "plus", "add", "lighter"]
 KEYS = ["op", "opacity", "at", "alpha", "colorspace", "part", "layer", "name"]
 GRAVITIES = ["north", "north-west", "center", "east", "south-east"]
 
