@@ -410,11 +410,11 @@ def _color_space_section() -> list[str]:
     return [*rows, ".PP", *prose(f"The IDs of the Color Interop Forum are names too: {ids}.")]
 
 
-def _json_section(keys: dict[str, str]) -> list[str]:
+def _json_section(keys: dict[str, str], document: str = "The document") -> list[str]:
     rows = [
         ".PP",
         *prose(
-            "The document is ASCII. A later version of hpcomp may add keys without a new version "
+            f"{document} is ASCII. A later version of hpcomp may add keys without a new version "
             "of the schema."
         ),
     ]
@@ -430,6 +430,28 @@ def _csv_section() -> list[str]:
         "and one each of the kinds `grey`, `transparent` and `nonfinite`, which have a count "
         "alone. Columns mean the same as the keys of the JSON document."
     )
+
+
+def _provenance_section() -> list[str]:
+    channels = {
+        "layer": "A whole number: that of the layer whose hue survived, plus 1. Of several layers "
+        "of that hue it is the strongest. 0 is none: the pixel is grey or transparent, or its hue "
+        "is the background's or nobody's.",
+        "grey": "The share of the layers' chroma that blending cancelled, 0 to 1.",
+        "margin": "How far ahead the surviving layer was of the strongest of another hue, as a "
+        "share of its own strength: 1 without a rival, near 0 where a hair decided, below 0 where a "
+        "stronger one was cancelled by others before they met; 0 where none survived.",
+    }
+    rows = [
+        ".PP",
+        *prose(
+            "The file of `--provenance` has the data window of the picture, and three channels "
+            "that say of each pixel where its hue comes from."
+        ),
+    ]
+    for name, meaning in channels.items():
+        rows += definition(bold(name), meaning)
+    return rows
 
 
 def _hues_environment() -> list[str]:
@@ -482,7 +504,11 @@ EXTRA_SECTIONS: dict[str, list[tuple[str, Callable[[], list[str]]]]] = {
     "hpcomp stack": [
         ("OPERATORS", _operator_section),
         ("COLOUR SPACES", _color_space_section),
-        ("JSON", lambda: _json_section(stackdata.JSON_KEYS)),
+        ("PROVENANCE", _provenance_section),
+        (
+            "JSON",
+            lambda: _json_section(stackdata.JSON_KEYS, "The document of a report in JSON"),
+        ),
     ],
 }
 

@@ -318,7 +318,8 @@ def test_man_page_is_sound_roff(name):
 @pytest.mark.parametrize("name", TREE)
 def test_man_page_has_its_sections_in_the_usual_order(name):
     usual = ["NAME", "SYNOPSIS", "DESCRIPTION", "COMMANDS", "OPTIONS", "ENVIRONMENT", "FILES",
-             "OPERATORS", "COLOUR SPACES", "JSON", "CSV", "EXIT STATUS", "EXAMPLES", "SEE ALSO"]  # fmt: skip
+             "OPERATORS", "COLOUR SPACES", "PROVENANCE", "JSON", "CSV", "EXIT STATUS", "EXAMPLES",
+             "SEE ALSO"]  # fmt: skip
     sections = list(man_sections(name))
     assert sections == [section for section in usual if section in sections]
     for section in ("NAME", "SYNOPSIS", "DESCRIPTION", "OPTIONS", "EXIT STATUS", "SEE ALSO"):
@@ -410,7 +411,7 @@ def test_every_shell_line_of_readme_is_known():
 
 @pytest.mark.parametrize("line", HPCOMP_LINES)
 def test_the_commands_of_readme_run(workplace, line):
-    outputs = re.findall(r"(?:-o|>) ([\w.]+)", line)
+    outputs = re.findall(r"(?:-o|>|--report|--provenance) ([\w.]+)", line)
     for name in outputs:
         (workplace / name).unlink(missing_ok=True)
     if line.startswith("hpcomp check map.png"):  # that of the first example
@@ -420,7 +421,7 @@ def test_the_commands_of_readme_run(workplace, line):
     assert (run.returncode, run.stderr) == (0, "")
     assert {path.name for path in set(workplace.iterdir()) - inputs} == set(outputs)
     for name in outputs:
-        if name.endswith((".png", ".exr")):
+        if name.endswith((".png", ".exr")) and f"--provenance {name}" not in line:
             assert hpcomp.read_layer(name).pixels.any()
         else:
             assert (workplace / name).stat().st_size > 100
@@ -525,7 +526,9 @@ STATEMENTS = {
                   "Returns:", "Errors:", "SettingError", "MismatchError", "Chuang et al. 2009"],
     "hue_add": ["(…, 3)", "linear", "premultiplied", "degrees", "Returns:", "Chuang et al. 2009"],
     "stack": ["`layers`", "`output`", "hpcomp stack", "Errors:", "SettingError", "InputError",
-              "MismatchError", "OutputError", "Warnings:"],
+              "MismatchError", "OutputError", "Warnings:", "Returns:", "`report`", "`provenance`",
+              "`foreign_tolerance`", "degrees", "`achromatic`", "[0, 1]", "`energy_weights`", "`bins`",
+              "Chuang et al. 2009", "Porter and Duff 1984"],
     "read_layer": ["`path`", "`nonfinite`", "(height, width, 4)", "float32", "linear Rec. 709",
                    "premultiplied", "Returns:", "Errors:", "Warnings:"],
     "write_image": ["`pixels`", "(height, width, 4)", "linear Rec. 709", "premultiplied",
@@ -577,15 +580,18 @@ def test_stack_takes_the_options_of_the_command_under_their_names():
     command, _ = TREE["hpcomp stack"]
     options = {p.name: p for p in command.params if isinstance(p, click.Option) and p.expose_value}
     parameters = inspect.signature(hpcomp.stack).parameters
-    assert set(options) == set(parameters) - {"layers"}
-    for name, parameter in list(parameters.items())[2:]:
-        shown = options[name]
+    # The command line is what only the command knows.
+    assert set(options) == set(parameters) - {"layers", "command"}
+    for name, shown in options.items():
+        parameter = parameters[name]
         if shown.show_default:
             assert shown.default == parameter.default, name
         elif shown.is_flag:
             assert parameter.default is False, name
             assert shown.default is not True, name
-        else:
+        elif shown.multiple:
+            assert parameter.default == (), name
+        elif not shown.required:
             assert parameter.default is None, name
 
 

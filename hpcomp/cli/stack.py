@@ -32,6 +32,7 @@ argument is an existing file; a value holds no comma. Keys: {", ".join(LAYER_KEY
 \b
   hpcomp stack base.png 'roads.png::opacity=0.6' rivers.exr -o map.png
   hpcomp stack base.png 'mask.png::op=dst-in,alpha=luminance' -o cut.exr
+  hpcomp stack base.png roads.png -o map.png --report map.html --provenance origin.exr
   cat a.png | hpcomp stack b.exr - -o - --format png > c.png
 """
 
