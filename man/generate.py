@@ -439,8 +439,8 @@ def _provenance_section() -> list[str]:
         "is the background's or nobody's.",
         "grey": "The share of the layers' chroma that blending cancelled, 0 to 1.",
         "margin": "How far ahead the surviving layer was of the strongest of another hue, as a "
-        "share of its own strength: 1 without a rival, near 0 where a hair decided, below 0 where a "
-        "stronger one was cancelled by others before they met; 0 where none survived.",
+        "share of its own strength: 1 without a rival, near 0 where a hair decided, below 0 where "
+        "a stronger one was cancelled by others before they met; 0 where none survived.",
     }
     rows = [
         ".PP",
