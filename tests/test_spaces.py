@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from strategies import any_pairs, hue_tolerances, valid_pairs
 from tolerances import ANGLE_DEG, FLOAT64, HARD_SWITCH, HAS_HUE, ROUNDING, assert_near
 
-from hpcomp.compositing import hue_add
+from hpcomp.arrays import hue_add
 from hpcomp.errors import SettingError
 from hpcomp.hueaxis import HEXAGON
 from hpcomp.spaces import D65, REC709_CHROMATICITIES, REC709_WEIGHTS, SPACES, space
