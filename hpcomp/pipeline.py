@@ -367,6 +367,8 @@ def _run(
             for group in groups:
                 arrived = [next(arriving) for _ in group]
                 workers.composite(partial(accumulator.add, group, arrived))
+                if evidence is None:
+                    arrived = []  # not to be held while the next ones arrive
             finish = partial(_finished, accumulator, layers, rows, window, form, losses, lock)
             prepare = partial(_prepared, finish, writer, rows.y - window.y)
             write = writer.write

@@ -27,7 +27,7 @@ from strategies import (
 )
 
 import hpcomp
-from hpcomp import addition, engine, kernel, pipeline, reference
+from hpcomp import addition, budget, engine, kernel, pipeline, reference
 from hpcomp.compositing import stack_rules
 from hpcomp.encoding import (
     COLOR_SPACES,
@@ -915,8 +915,9 @@ class TestStackBytes:
             *cases,
             *((7, 2, 8, level) for level in kernel.levels()),
         ]:
-            monkeypatch.setattr(pipeline, "STRIP_ROWS", rows)
-            monkeypatch.setattr(pipeline, "LAYERS_AT_ONCE", at_once)
+            monkeypatch.setattr(budget, "STRIP_ROWS", rows)
+            for module in (budget, pipeline):
+                monkeypatch.setattr(module, "LAYERS_AT_ONCE", at_once)
             monkeypatch.setenv(kernel.LEVEL_VARIABLE, level)
             caplog.clear()
             out = tmp_path / f"out.{ending}"
