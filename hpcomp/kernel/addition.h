@@ -87,10 +87,6 @@ HPCOMP_INLINE void factor(Factor kind, const float *alpha, int n, float *out) {
 // Above what rounding changes in the products of two vectors of lengths up to 3.
 constexpr float kCloseMargin = 1e-4f;
 
-// Rows of lanes: small loops whose arrays do not overlap.
-using Row = float *__restrict__;
-using ConstRow = const float *__restrict__;
-
 // Whether two hues are close in any lane: within the shoulder's end, or nearly.
 HPCOMP_INLINE bool any_close(const Rules &rules, ConstRow xi, ConstRow yi, ConstRow xj, ConstRow yj) {
     int close = 0;

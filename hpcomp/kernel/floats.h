@@ -12,6 +12,9 @@ namespace hpcomp {
 namespace {
 
 using Plane = float[kBlock];
+// Planes, or parts of them, that no other overlaps.
+using Row = float *__restrict__;
+using ConstRow = const float *__restrict__;
 
 HPCOMP_INLINE uint32_t bits_of(float value) {
     uint32_t bits;

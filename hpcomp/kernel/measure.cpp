@@ -1,6 +1,7 @@
 #include "measure.h"
 
 #include "addition.h"
+#include "huecount.h"
 #include "load.h"
 
 #ifndef HPCOMP_LEVEL
@@ -10,36 +11,8 @@
 namespace hpcomp {
 namespace {
 
-// --- sums ----------------------------------------------------------------------------------------
-
-constexpr float kLargestAddend = 4096;
 // Beyond this a colour is left out: its square still is a float.
 constexpr float kLargestMeasured = 0x1p60f;
-
-// A value from -4096 to 4096 in units of 2^-24, rounded to even: adding this number leaves the units
-// in the low bits of a double.
-constexpr double kUnitRounder = 6755399441055744.0;  // 1.5 * 2^52
-
-HPCOMP_INLINE int64_t units_of(float value) {
-    const double rounded = double(value) * 0x1p24 + kUnitRounder;
-    int64_t bits, zero;
-    std::memcpy(&bits, &rounded, sizeof bits);
-    std::memcpy(&zero, &kUnitRounder, sizeof zero);
-    return bits - zero;
-}
-
-HPCOMP_INLINE float within_addends(float v) {
-    return v > kLargestAddend ? kLargestAddend : v < -kLargestAddend ? -kLargestAddend : v;
-}
-
-// The sum of values from 0 up.
-HPCOMP_INLINE int64_t sum_of(const float *values, int n) {
-    int64_t sum = 0;
-    for (int i = 0; i < n; ++i) sum += units_of(smaller(values[i], kLargestAddend));
-    return sum;
-}
-
-// --- planes --------------------------------------------------------------------------------------
 
 // Masks are planes of 0 and 1, which multiply and add like any other.
 HPCOMP_INLINE float as_mask(bool holds) { return holds ? 1.0f : 0.0f; }
@@ -55,108 +28,12 @@ HPCOMP_INLINE float part_of(float numerator, float denominator) {
     return clamped(quotient);
 }
 
-// Largest, smallest, and the larger of their sizes.
-HPCOMP_INLINE void span_of(float red, float green, float blue, float *largest, float *difference,
-                           float *size) {
-    *largest = larger(larger(red, green), blue);
-    const float smallest = smaller(smaller(red, green), blue);
-    *difference = *largest - smallest;
-    *size = larger(magnitude(*largest), magnitude(smallest));
-}
-
-// --- hue histograms ------------------------------------------------------------------------------
-
-// Pixels that are added at once where they share a bin.
-constexpr int kRun = 32;
-
-struct Hues {
-    int64_t *bins;    // (bins + 1, kHueColumns)
-    int64_t *others;  // (kOthers)
-};
-
-// Adds a block of linear, premultiplied colours. The arithmetic is that of `histogram.py`, to the bit.
-HPCOMP_INLINE void add_hues(const Rules &rules, const MeasureRules &measures, int n, const float *red,
-                            const float *green, const float *blue, const float *alpha, Hues hues) {
-    const int bins = measures.bins;
-    const float bins_of_sextant = float(bins / 6.0);
-    int32_t bin[kBlock];
-    int64_t units[kHueColumns][kBlock];
-    int nonfinite = 0, transparent = 0, grey = 0;
-    Plane has_hue, place;
-    for (int i = 0; i < n; ++i) {
-        float largest, difference, size;
-        span_of(red[i], green[i], blue[i], &largest, &difference, &size);
-        const float nothing = red[i] * 0 + green[i] * 0 + blue[i] * 0 + alpha[i] * 0 + difference * 0;
-        const int finite = nothing == nothing;
-        const int is_grey = (difference == 0) | (difference < measures.achromatic * size);
-        const int is_nothing = (alpha[i] <= 0) & (size == 0);
-        nonfinite += 1 - finite;
-        transparent += finite & is_nothing;
-        grey += finite & is_grey & (1 - is_nothing);
-        has_hue[i] = float(finite & (1 - is_grey));
-    }
-    // All ways are computed and chosen from: branches would keep the loop from being vectorised.
-    for (int i = 0; i < n; ++i) {
-        const float r = red[i], g = green[i], b = blue[i];
-        float largest, difference, size;
-        span_of(r, g, b, &largest, &difference, &size);
-        const float after_red = g - b, after_green = b - r, after_blue = r - g;
-        float ahead = largest == g ? after_green : after_blue;
-        ahead = largest == r ? after_red : ahead;
-        float sextant = largest == g ? 2.0f : 4.0f;
-        sextant = largest == r ? 0.0f : sextant;
-        place[i] = (sextant + ahead / difference) * bins_of_sextant + 0.5f;
-    }
-    for (int i = 0; i < n; ++i) place[i] = has_hue[i] != 0 ? place[i] : 0.0f;
-    for (int i = 0; i < n; ++i) {
-        const int32_t toward_zero = int32_t(place[i]);
-        const int32_t down = toward_zero - int32_t(float(toward_zero) > place[i]);
-        const int32_t around = down + (bins & (down >> 31));
-        bin[i] = around - (bins & ~((around - bins) >> 31));
-    }
-    for (int i = 0; i < n; ++i) bin[i] = has_hue[i] != 0 ? bin[i] : bins;
-    hues.others[kNonfinite] += nonfinite;
-    hues.others[kTransparent] += transparent;
-    hues.others[kGrey] += grey;
-    if (nonfinite + transparent + grey == n) return;
-    for (int i = 0; i < n; ++i) {
-        const float red_green = red[i] - green[i], blue_green = blue[i] - green[i];
-        const float p0 = red_green * rules.to_p[0][0] + blue_green * rules.to_p[0][1];
-        const float p1 = red_green * rules.to_p[1][0] + blue_green * rules.to_p[1][1];
-        units[kChroma][i] = units_of(smaller(__builtin_sqrtf(p0 * p0 + p1 * p1), kLargestAddend));
-        units[kAlpha][i] = units_of(clamped(alpha[i]));
-        units[kRed][i] = units_of(within_addends(red[i]));
-        units[kGreen][i] = units_of(within_addends(green[i]));
-        units[kBlue][i] = units_of(within_addends(blue[i]));
-    }
-    // Unsigned: the row of those that belong in none takes NaN, too, and may wrap around.
-    uint64_t *rows = reinterpret_cast<uint64_t *>(hues.bins);
-    for (int begin = 0; begin < n; begin += kRun) {
-        const int end = n - begin < kRun ? n : begin + kRun;
-        int differs = 0;
-        for (int i = begin; i < end; ++i) differs |= bin[i] ^ bin[begin];
-        if (!differs) {  // as labels mostly have it
-            uint64_t *row = rows + int64_t(bin[begin]) * kHueColumns;
-            row[kCount] += uint64_t(end - begin);
-            for (int column = kChroma; column <= kBlue; ++column) {
-                uint64_t sum = 0;
-                for (int i = begin; i < end; ++i) sum += uint64_t(units[column][i]);
-                row[column] += sum;
-            }
-            continue;
-        }
-        for (int i = begin; i < end; ++i) {
-            uint64_t *row = rows + int64_t(bin[i]) * kHueColumns;
-            row[kCount] += 1;
-            for (int column = kChroma; column <= kBlue; ++column)
-                row[column] += uint64_t(units[column][i]);
-        }
-    }
-}
+HPCOMP_INLINE float length(float x, float y) { return __builtin_sqrtf(x * x + y * y); }
 
 // --- a block -------------------------------------------------------------------------------------
 
-// A block's terms: of the layers and then of the background.
+// A block's terms: of the layers and then of the background. The loops copy what they need of it,
+// and take rows that do not overlap: else every pixel that is written could be a rule.
 struct Block {
     const Rules &rules;
     const MeasureRules &measures;
@@ -165,6 +42,7 @@ struct Block {
     float *p, *size;        // (layers + 1, 2, kBlock) and (layers + 1, kBlock): terms and |t|
     float *near;            // (layers + 1, kBlock): whose hue is the result's
     int *active, actives;   // the terms that are anything here
+    bool small;             // whether no sum of sizes is more than `kSmallAddend`
     const float *luminance, *total, *alpha;
 
     const float *x(int k) const { return p + int64_t(k) * 2 * kBlock; }
@@ -183,35 +61,37 @@ struct Support {
     Plane size, backing, has_hue;
 };
 
-HPCOMP_INLINE void support_of(const Block &block, const float *p0, const float *p1, Support *found) {
+void support_of(const Block &block, ConstRow p0, ConstRow p1, Support *found) {
+    const MeasureRules measures = block.measures;
     const int n = block.n;
+    Row length_of = found->size, backing = found->backing, has_hue = found->has_hue;
     for (int i = 0; i < n; ++i) {
-        found->size[i] = __builtin_sqrtf(p0[i] * p0[i] + p1[i] * p1[i]);
-        found->backing[i] = 0;
+        length_of[i] = length(p0[i], p1[i]);
+        backing[i] = 0;
     }
     for (int a = 0; a < block.actives; ++a) {
         const int k = block.active[a];
-        const float *x = block.x(k), *y = block.y(k), *size = block.size + k * kBlock;
-        float *near = block.near + k * kBlock;
+        ConstRow x = block.x(k), y = block.y(k), size = block.size + k * kBlock;
+        Row near = block.near + k * kBlock;
         for (int i = 0; i < n; ++i) {
-            near[i] = as_mask(holds(block.measures, p0[i], p1[i], x[i], y[i]));
-            found->backing[i] += near[i] * size[i];
+            near[i] = as_mask(holds(measures, p0[i], p1[i], x[i], y[i]));
+            backing[i] += near[i] * size[i];
         }
     }
-    const float half_step = block.measures.half_step;
     for (int i = 0; i < n; ++i)
-        found->has_hue[i] = as_mask((found->size[i] > half_step) & (found->backing[i] > half_step));
+        has_hue[i] = as_mask((length_of[i] > measures.half_step) & (backing[i] > measures.half_step));
 }
 
 // The number plus 1 of the layer whose hue survived, 0 for none, and its |t|; the lower of two.
-HPCOMP_INLINE void winners(const Block &block, const Support &support, float *winner, float *size) {
+void winners(const Block &block, const Support &support, Row winner, Row size) {
+    const float half_step = block.measures.half_step;
     const int n = block.n;
     Plane theirs;
     for (int i = 0; i < n; ++i) winner[i] = size[i] = theirs[i] = 0;
     for (int a = 0; a < block.actives; ++a) {
         const int k = block.active[a];
         if (k == block.layers) continue;
-        const float *near = block.near + k * kBlock, *of = block.size + k * kBlock;
+        ConstRow near = block.near + k * kBlock, of = block.size + k * kBlock;
         for (int i = 0; i < n; ++i) {
             const float own = near[i] * of[i];
             theirs[i] += own;
@@ -220,64 +100,78 @@ HPCOMP_INLINE void winners(const Block &block, const Support &support, float *wi
         }
     }
     for (int i = 0; i < n; ++i) {
-        const bool there = (support.has_hue[i] != 0) & (theirs[i] > block.measures.half_step);
+        const bool there = (support.has_hue[i] != 0) & (theirs[i] > half_step);
         winner[i] = there ? winner[i] : 0.0f;
     }
 }
 
-// Measures one result of the block; fills `chromatic`.
-HPCOMP_INLINE void measure_result(const Block &block, const float *p0, const float *p1,
-                                  const Support &support, int64_t *sums, Hues hues, float *chromatic) {
-    const Rules &rules = block.rules;
+// Adds what the terms are, whatever becomes of them.
+void add_terms(const Block &block, int64_t *sums) {
     const float half_step = block.measures.half_step;
+    for (int a = 0; a < block.actives; ++a) {
+        const int k = block.active[a];
+        const float *size = block.size + k * kBlock;
+        int64_t *own = sums + kResultSums + k * kContributorSums;
+        int pixels = 0;
+        for (int i = 0; i < block.n; ++i) pixels += size[i] > half_step;
+        own[kPixels] += pixels;
+        own[kTermSum] += sum_of(size, block.n, block.small);
+    }
+}
+
+// Measures one result of the block; fills `chromatic`.
+void measure_result(const Block &block, ConstRow p0, ConstRow p1, const Support &support,
+                    int64_t *sums, Hues hues, Row chromatic) {
+    const Rules rules = block.rules;
+    const float half_step = block.measures.half_step, achromatic = block.measures.achromatic;
     const int n = block.n;
+    ConstRow luminances = block.luminance, total = block.total;
     Plane red, green, blue, foreign, of_near, of_others, values;
     for (int i = 0; i < n; ++i) {
-        const float luminance = block.luminance[i];
+        const float luminance = luminances[i];
         red[i] = p0[i] * rules.from_p[0][0] + p1[i] * rules.from_p[0][1] + luminance;
         green[i] = p0[i] * rules.from_p[1][0] + p1[i] * rules.from_p[1][1] + luminance;
         blue[i] = p0[i] * rules.from_p[2][0] + p1[i] * rules.from_p[2][1] + luminance;
         float largest, difference, size;
         span_of(red[i], green[i], blue[i], &largest, &difference, &size);
         const bool has_chroma = support.size[i] > half_step;
-        chromatic[i] = as_mask(has_chroma & (difference >= block.measures.achromatic * size));
+        chromatic[i] = as_mask(has_chroma & (difference >= achromatic * size));
         foreign[i] = chromatic[i] * (1 - support.has_hue[i]);
+        values[i] = chromatic[i] * support.size[i];
         // Those of the surviving hue share what is left of it; what goes beyond is the others'.
         of_near[i] = part_of(support.size[i], support.backing[i]);
-        of_others[i] = part_of(support.size[i] - support.backing[i],
-                               block.total[i] - support.backing[i]);
+        of_others[i] = part_of(support.size[i] - support.backing[i], total[i] - support.backing[i]);
     }
-    add_hues(rules, block.measures, n, red, green, blue, block.alpha, hues);
+    const bool small = add_hues(block.measures, n, red, green, blue, block.alpha, support.size, hues);
+    add_terms(block, sums);
     sums[kChromatic] += count_of(chromatic, n);
-    sums[kForeign] += count_of(foreign, n);
-    for (int i = 0; i < n; ++i) values[i] = chromatic[i] * support.size[i];
-    sums[kChromaSum] += sum_of(values, n);
-    for (int i = 0; i < n; ++i) values[i] = foreign[i] * support.size[i];
-    sums[kForeignChroma] += sum_of(values, n);
+    sums[kChromaSum] += sum_of(values, n, block.small);
+    const int64_t foreigners = count_of(foreign, n);
+    if (foreigners) {
+        sums[kForeign] += foreigners;
+        for (int i = 0; i < n; ++i) values[i] = foreign[i] * support.size[i];
+        sums[kForeignChroma] += sum_of(values, n, block.small);
+    }
     const float *channels[3] = {red, green, blue};
     for (int channel = 0; channel < 3; ++channel) {
         for (int i = 0; i < n; ++i) values[i] = larger(channels[channel][i], 0.0f);
-        sums[kLight + channel] += sum_of(values, n);
+        sums[kLight + channel] += sum_of(values, n, small);
     }
     for (int a = 0; a < block.actives; ++a) {
         const int k = block.active[a];
         int64_t *own = sums + kResultSums + k * kContributorSums;
-        const float *size = block.size + k * kBlock, *near = block.near + k * kBlock;
-        int pixels = 0, survived = 0;
+        ConstRow size = block.size + k * kBlock, near = block.near + k * kBlock;
+        int survived = 0;
         for (int i = 0; i < n; ++i) {
-            const bool contributes = size[i] > half_step;
-            pixels += contributes;
-            survived += contributes & (chromatic[i] * near[i] != 0);
+            survived += (size[i] > half_step) & (chromatic[i] * near[i] != 0);
             values[i] = size[i] * (near[i] != 0 ? of_near[i] : of_others[i]);
         }
-        own[kPixels] += pixels;
         own[kSurvived] += survived;
-        own[kTermSum] += sum_of(size, n);
-        own[kKept] += sum_of(values, n);
+        own[kKept] += sum_of(values, n, block.small);
     }
 }
 
-HPCOMP_INLINE void set_provenance(const Block &block, const Support &support, const Provenance &to) {
+void set_provenance(const Block &block, const Support &support, const Provenance &to) {
     const int n = block.n;
     Plane winner, size, x, y, runner_up;
     winners(block, support, winner, size);
@@ -308,22 +202,25 @@ HPCOMP_INLINE void set_provenance(const Block &block, const Support &support, co
 }
 
 // The layers' terms added one by one, upwards or downwards, the background last.
-HPCOMP_INLINE void fold(const Block &block, bool upward, float *p0, float *p1) {
-    for (int i = 0; i < block.n; ++i) p0[i] = p1[i] = 0;
-    int background = 0;
-    for (int a = 0; a < block.actives; ++a) {
-        const int k = block.active[upward ? a : block.actives - 1 - a];
-        if (k == block.layers) {
-            background = 1;
-            continue;
+void fold(const Block &block, bool upward, float *p0, float *p1) {
+    const Rules rules = block.rules;
+    const auto add_term = [&](int turn, int k) {
+        if (turn > 0) {
+            add(rules, block.n, p0, p1, block.x(k), block.y(k));
+        } else {
+            std::memcpy(p0, block.x(k), sizeof(Plane));
+            std::memcpy(p1, block.y(k), sizeof(Plane));
         }
-        add(block.rules, block.n, p0, p1, block.x(k), block.y(k));
-    }
-    if (background) add(block.rules, block.n, p0, p1, block.x(block.layers), block.y(block.layers));
+    };
+    const int last = block.actives - 1;
+    const bool background = block.active[last] == block.layers;
+    const int layers = block.actives - background;
+    for (int a = 0; a < layers; ++a) add_term(a, block.active[upward ? a : layers - 1 - a]);
+    if (background) add_term(layers, block.layers);
 }
 
 // The chroma of the stack, in its own order.
-HPCOMP_INLINE void reduce(const Block &block, float *scratch, float *p0, float *p1) {
+void reduce(const Block &block, float *scratch, float *p0, float *p1) {
     const Order order = block.rules.order;
     if (order == Order::kBottomUp || order == Order::kFrontToBack) {
         fold(block, order == Order::kBottomUp, p0, p1);
@@ -340,12 +237,99 @@ HPCOMP_INLINE void reduce(const Block &block, float *scratch, float *p0, float *
         add(block.rules, block.n, p0, p1, block.x(count), block.y(count));
 }
 
-HPCOMP_INLINE bool is_nothing(const float *red, const float *green, const float *blue,
-                              const float *alpha, int n) {
+bool is_nothing(const float *red, const float *green, const float *blue, const float *alpha, int n) {
     uint32_t any = 0;
     for (int i = 0; i < n; ++i)
         any |= bits_of(red[i]) | bits_of(green[i]) | bits_of(blue[i]) | bits_of(alpha[i]);
     return (any & 0x7fffffffu) == 0;
+}
+
+// A block of a layer as a term, before its weight; its colours are added to its histogram.
+void measure_layer(const Rules &rules, const MeasureRules &measures, const Layer &layer, int x, int y,
+                   int n, Hues hues, float *luminance, float *p0, float *p1, float *alpha) {
+    Plane red, green, blue, chroma;
+    // Lanes beyond the row take part in the reduction, and must be harmless.
+    std::memset(p0, 0, sizeof(Plane));
+    std::memset(p1, 0, sizeof(Plane));
+    load(layer, x, y, n, red, green, blue, alpha);
+    if (is_nothing(red, green, blue, alpha, n)) {
+        hues.others[kTransparent] += n;
+        std::memset(luminance, 0, sizeof(Plane));
+        return;
+    }
+    to_terms(rules, n, red, green, blue, luminance, p0, p1);
+    for (int i = 0; i < n; ++i) chroma[i] = length(p0[i], p1[i]);
+    add_hues(measures, n, red, green, blue, alpha, chroma, hues);
+}
+
+// Finds the pixels whose terms can be measured, and takes the chroma from the others.
+int find_unknown(int terms, int n, float *p, const float *luminance, float *sum, float *known) {
+    for (int i = 0; i < n; ++i) known[i] = 1;
+    for (int k = 0; k < terms; ++k) {
+        const float *p0 = p + int64_t(k) * 2 * kBlock, *of = luminance + k * kBlock;
+        for (int i = 0; i < n; ++i) {
+            const bool measurable = (magnitude(of[i]) < kLargestMeasured) &
+                                    (magnitude(p0[i]) < kLargestMeasured) &
+                                    (magnitude(p0[kBlock + i]) < kLargestMeasured);
+            known[i] = measurable ? known[i] : 0.0f;
+        }
+    }
+    int unknown = 0;
+    for (int i = 0; i < n; ++i) unknown += known[i] == 0;
+    if (unknown == 0) return 0;
+    for (int k = 0; k < terms; ++k) {
+        float *p0 = p + int64_t(k) * 2 * kBlock, *p1 = p0 + kBlock;
+        for (int i = 0; i < n; ++i)
+            if (known[i] == 0) p0[i] = p1[i] = 0;
+    }
+    for (int i = 0; i < n; ++i) sum[i] = known[i] == 0 ? 0.0f : sum[i];
+    return unknown;
+}
+
+// Sizes of the terms, and which of them are anything here.
+void find_active(Block &block, float *total) {
+    for (int i = 0; i < block.n; ++i) total[i] = 0;
+    for (int k = 0; k <= block.layers; ++k) {
+        const float *p0 = block.x(k), *p1 = block.y(k);
+        float *size = block.size + k * kBlock;
+        uint32_t any = 0;
+        for (int i = 0; i < block.n; ++i) {
+            size[i] = length(p0[i], p1[i]);
+            total[i] += size[i];
+            // Not of its size: the square of what is very small is 0.
+            any |= bits_of(p0[i]) | bits_of(p1[i]);
+        }
+        if (any & 0x7fffffffu) block.active[block.actives++] = k;
+    }
+    block.small = all_small(block.n, total);
+}
+
+// How many pixels' survivor depends on the order; `support` is that of the stack's own.
+int order_sensitive(const Block &block, const Support &support, const float *chromatic) {
+    Plane upward, downward, size;
+    const auto survivors = [&](Order order, float *winner) {
+        if (block.rules.order == order) {
+            winners(block, support, winner, size);
+            return;
+        }
+        Plane q0, q1;
+        Support other;
+        fold(block, order == Order::kBottomUp, q0, q1);
+        support_of(block, q0, q1, &other);
+        winners(block, other, winner, size);
+    };
+    // The one that is at hand first: the other overwrites who is near.
+    if (block.rules.order == Order::kFrontToBack) {
+        survivors(Order::kFrontToBack, downward);
+        survivors(Order::kBottomUp, upward);
+    } else {
+        survivors(Order::kBottomUp, upward);
+        survivors(Order::kFrontToBack, downward);
+    }
+    int sensitive = 0;
+    for (int i = 0; i < block.n; ++i)
+        sensitive += (chromatic[i] != 0) & (upward[i] != downward[i]);
+    return sensitive;
 }
 
 // `scratch` holds `measure_floats` of them.
@@ -356,7 +340,8 @@ void measure(const Rules &rules, const MeasureRules &measures, const Layer *laye
     float *f_b = f_a + terms * kBlock, *size = f_b + terms * kBlock, *near = size + terms * kBlock;
     int *active = reinterpret_cast<int *>(near + terms * kBlock);
     float *reducing = near + 2 * terms * kBlock;
-    const int64_t hue_rows = int64_t(measures.bins + 1) * kHueColumns;
+    const int64_t hue_rows = int64_t(measures.bins) * kHueColumns;
+    const int64_t result_sums = kResultSums + kContributorSums * terms;
     const auto hues_of = [&](int k) {
         return Hues{found->hues + k * hue_rows, found->others + k * kOthers};
     };
@@ -365,18 +350,10 @@ void measure(const Rules &rules, const MeasureRules &measures, const Layer *laye
             const int n = width - x < kBlock ? width - x : kBlock;
             Plane alpha, sum, total, known;
             for (int k = 0; k < count; ++k) {
-                Plane red, green, blue, own_alpha;
+                Plane own_alpha;
                 float *p0 = p + int64_t(k) * 2 * kBlock;
-                // Lanes beyond the row take part in the reduction, and must be harmless.
-                std::memset(p0, 0, 2 * sizeof(Plane));
-                load(layers[k], x, y, n, red, green, blue, own_alpha);
-                if (is_nothing(red, green, blue, own_alpha, n)) {
-                    hues_of(k).others[kTransparent] += n;
-                    std::memset(luminance + k * kBlock, 0, sizeof(Plane));
-                } else {
-                    add_hues(rules, measures, n, red, green, blue, own_alpha, hues_of(k));
-                    to_terms(rules, n, red, green, blue, luminance + k * kBlock, p0, p0 + kBlock);
-                }
+                measure_layer(rules, measures, layers[k], x, y, n, hues_of(k), luminance + k * kBlock, p0,
+                              p0 + kBlock, own_alpha);
                 factors(layers[k], k, n, own_alpha, f_a + k * kBlock, f_b + k * kBlock, alpha);
             }
             weigh(count, n, f_a, f_b, luminance, p, sum);
@@ -393,93 +370,42 @@ void measure(const Rules &rules, const MeasureRules &measures, const Layer *laye
                     alpha[i] = 1;
                 }
             }
-            int unknown = 0;
-            for (int i = 0; i < n; ++i) known[i] = 1;
-            for (int k = 0; k <= count; ++k) {
-                const float *p0 = p + int64_t(k) * 2 * kBlock, *of = luminance + k * kBlock;
-                for (int i = 0; i < n; ++i) {
-                    const bool measurable = (magnitude(of[i]) < kLargestMeasured) &
-                                            (magnitude(p0[i]) < kLargestMeasured) &
-                                            (magnitude(p0[kBlock + i]) < kLargestMeasured);
-                    known[i] = measurable ? known[i] : 0.0f;
-                }
-            }
-            for (int i = 0; i < n; ++i) unknown += known[i] == 0;
+            const int unknown = find_unknown(int(terms), n, p, luminance, sum, known);
             if (unknown) {
                 found->unmeasured += unknown;
-                for (int k = 0; k <= count; ++k)
-                    for (int i = 0; i < n; ++i)
-                        if (known[i] == 0) p[int64_t(k) * 2 * kBlock + i] = p[int64_t(k) * 2 * kBlock + kBlock + i] = 0;
-                for (int i = 0; i < n; ++i) sum[i] = known[i] == 0 ? 0.0f : sum[i];
-            }
-            Block block{rules, measures, n, count, p, size, near, active, 0, sum, total, alpha};
-            for (int i = 0; i < n; ++i) total[i] = 0;
-            for (int k = 0; k <= count; ++k) {
-                const float *p0 = block.x(k), *p1 = block.y(k);
-                float *of = size + k * kBlock;
-                uint32_t any = 0;
-                for (int i = 0; i < n; ++i) {
-                    of[i] = __builtin_sqrtf(p0[i] * p0[i] + p1[i] * p1[i]);
-                    total[i] += of[i];
-                    // Not of its size: the square of what is very small is 0.
-                    any |= bits_of(p0[i]) | bits_of(p1[i]);
-                }
-                if (any & 0x7fffffffu) active[block.actives++] = k;
-            }
-
-            const int64_t result_sums = kResultSums + kContributorSums * terms;
-            Plane p0, p1, plain0, plain1, chromatic, ignored;
-            Support support;
-            // What cannot be measured is still a pixel of the histograms.
-            const auto mark_unknown = [&](float *plane) {
+                // What cannot be measured is still a pixel of the histograms.
                 for (int i = 0; i < n; ++i)
-                    if (known[i] == 0) plane[i] = float_of(0x7fc00000u);
+                    if (known[i] == 0) alpha[i] = float_of(0x7fc00000u);
+            }
+            Block block{rules, measures, n, count, p, size, near, active, 0, false, sum, total, alpha};
+            find_active(block, total);
+
+            Plane p0, p1, chromatic;
+            Support support;
+            const auto measure_as = [&](int which) {
+                support_of(block, p0, p1, &support);
+                measure_result(block, p0, p1, support, found->results + which * result_sums,
+                               hues_of(count + which), chromatic);
             };
-            for (int i = 0; i < n; ++i) plain0[i] = plain1[i] = 0;
+            for (int i = 0; i < n; ++i) p0[i] = p1[i] = 0;
             for (int a = 0; a < block.actives; ++a) {
                 const float *px = block.x(active[a]), *py = block.y(active[a]);
-                for (int i = 0; i < n; ++i) plain0[i] += px[i], plain1[i] += py[i];
+                for (int i = 0; i < n; ++i) p0[i] += px[i], p1[i] += py[i];
             }
-            if (unknown) mark_unknown(alpha);
-            support_of(block, plain0, plain1, &support);
-            measure_result(block, plain0, plain1, support, found->results + result_sums,
-                           hues_of(count + 1), ignored);
-
-            reduce(block, reducing, p0, p1);
-            support_of(block, p0, p1, &support);
-            measure_result(block, p0, p1, support, found->results, hues_of(count), chromatic);
+            if (block.actives <= 1) {
+                measure_as(kBothResults);  // nothing was blended
+            } else {
+                measure_as(kTraditional);
+                reduce(block, reducing, p0, p1);
+                measure_as(kAsBlended);
+            }
             if (found->provenance.layer != nullptr) {
                 const int64_t at = int64_t(y) * width + x;
                 const Provenance &all = found->provenance;
                 set_provenance(block, support, {all.layer + at, all.grey + at, all.margin + at});
             }
-            const bool many = block.actives > 2;  // two terms have no order
-            if (measures.depends_on_order && many) {
-                Plane upward, downward;
-                const auto survivors = [&](Order order, float *winner) {
-                    Plane size_of_winner, q0, q1;
-                    if (rules.order == order) {
-                        winners(block, support, winner, size_of_winner);
-                        return;
-                    }
-                    Support other;
-                    fold(block, order == Order::kBottomUp, q0, q1);
-                    support_of(block, q0, q1, &other);
-                    winners(block, other, winner, size_of_winner);
-                };
-                // The one that is at hand first: the other overwrites who is near.
-                if (rules.order == Order::kFrontToBack) {
-                    survivors(Order::kFrontToBack, downward);
-                    survivors(Order::kBottomUp, upward);
-                } else {
-                    survivors(Order::kBottomUp, upward);
-                    survivors(Order::kFrontToBack, downward);
-                }
-                int sensitive = 0;
-                for (int i = 0; i < n; ++i)
-                    sensitive += (chromatic[i] != 0) & (upward[i] != downward[i]);
-                found->order_sensitive += sensitive;
-            }
+            if (measures.depends_on_order && block.actives > 2)  // two terms have no order
+                found->order_sensitive += order_sensitive(block, support, chromatic);
         }
     }
 }

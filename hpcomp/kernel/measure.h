@@ -30,13 +30,15 @@ struct Provenance {
     float *grey, *margin;
 };
 
+// Which result: those of pixels in which both are the same are counted once, and added afterwards.
+enum Result { kAsBlended, kTraditional, kBothResults, kResults };
+
 // Everything is added to what is there, but for the provenance, which is set.
 struct Measures {
     int64_t unmeasured, order_sensitive;
-    int64_t *results;  // (2, kResultSums + kContributorSums * (layers + 1)): as blended, traditional
-    int64_t *hues;     // (layers + 2, bins + 1, kHueColumns): layers, result, traditional; one bin
-                       // more for pixels that belong in none
-    int64_t *others;   // (layers + 2, kOthers)
+    int64_t *results;  // (kResults, kResultSums + kContributorSums * (layers + 1))
+    int64_t *hues;     // (layers + kResults, bins, kHueColumns): the layers', then the results'
+    int64_t *others;   // (layers + kResults, kOthers)
     Provenance provenance;
 };
 

@@ -23,6 +23,8 @@ from . import _kernel, chosen_level, layer_of, rules_of  # type: ignore[attr-def
 
 #: The columns of the sums in `measure.h`.
 _RESULT_SUMS, _CONTRIBUTOR_SUMS, _HUE_COLUMNS = 7, 4, 8
+#: As blended, traditional, and what is to be added to both.
+_RESULTS = 3
 
 
 def findings(
@@ -36,9 +38,9 @@ def findings(
 ) -> tuple[StackFindings, Provenance | None]:
     """The findings of a strip, all its layers bottom first; provenance planes (height, width)."""
     n = len(strips)
-    results = np.zeros((2, _RESULT_SUMS + _CONTRIBUTOR_SUMS * (n + 1)), np.int64)
-    hues = np.zeros((n + 2, bins + 1, _HUE_COLUMNS), np.int64)
-    others = np.zeros((n + 2, 3), np.int64)
+    results = np.zeros((_RESULTS, _RESULT_SUMS + _CONTRIBUTOR_SUMS * (n + 1)), np.int64)
+    hues = np.zeros((n + _RESULTS, bins, _HUE_COLUMNS), np.int64)
+    others = np.zeros((n + _RESULTS, 3), np.int64)
     provenance = Provenance.none((height, width)) if with_provenance else None
     tolerance = Angle.of(settings.foreign_tolerance)
     unmeasured, order_sensitive = _kernel.measure(
@@ -54,11 +56,13 @@ def findings(
         *((None,) * 3 if provenance is None else vars(provenance).values()),
         chosen_level(),
     )
+    for sums in (results, hues[n:], others[n:]):
+        sums[:-1] += sums[-1]
     histograms = [
-        _histogram(rules, settings, rows[:bins], rest.tolist())
-        for rows, rest in zip(hues, others, strict=True)
+        _histogram(rules, settings, rows, rest.tolist())
+        for rows, rest in zip(hues[:-1], others[:-1], strict=True)
     ]
-    result, traditional = (_result_measures(sums, n) for sums in results.tolist())
+    result, traditional = (_result_measures(sums, n) for sums in results[:-1].tolist())
     measures = StackMeasures(
         settings,
         result,

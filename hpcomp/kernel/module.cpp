@@ -358,11 +358,11 @@ measure(std::shared_ptr<StackRules> rules, std::array<float, 4> limits, bool dep
         if (strip == nullptr) throw nb::type_error("layers must be made by `layer`");
     const int strip_width = checked_coordinate(width), strip_height = checked_coordinate(height);
     if (width < 1 || height < 1) throw nb::value_error("a strip needs pixels");
-    const int64_t bins = hues.ndim() == 3 ? int64_t(hues.shape(1)) - 1 : 0;
+    const int64_t bins = hues.ndim() == 3 ? int64_t(hues.shape(1)) : 0;
     if (bins < 1 || bins > (1 << 16)) throw nb::value_error("hues need bins");
-    check_sums(results, {2, kResultSums + kContributorSums * (n + 1)});
-    check_sums(hues, {n + 2, bins + 1, kHueColumns});
-    check_sums(others, {n + 2, kOthers});
+    check_sums(results, {kResults, kResultSums + kContributorSums * (n + 1)});
+    check_sums(hues, {n + kResults, bins, kHueColumns});
+    check_sums(others, {n + kResults, kOthers});
     Measures found{};
     found.results = results.data();
     found.hues = hues.data();
