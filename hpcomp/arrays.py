@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from . import addition, engine, spaces
+from . import addition, engine, gamut, spaces
 from .addition import DEFAULT_HUE_TOLERANCE
 from .compositing import stack_rules
 from .encoding import Losses
@@ -31,7 +31,8 @@ def composite(layers: Sequence[ArrayLike], **rules: Any) -> Array:
       `opacity` 1.0: one for all layers or one for each, in [0, 1];
       `blending` "hue-preserving", or "traditional";
       `order` "bottom-up", "top-down", "balanced", "simultaneous", "2,0,1" or a sequence of ints;
-      `space` "linear-rgb", or "xyz"; `hue_tolerance` 2.0, degrees between p vectors;
+      `space` "linear-rgb", "xyz", "hsl", "oklab" or "cielab";
+      `hue_tolerance` 2.0, degrees between p vectors;
       `background` None, or straight linear RGB put under the result;
       `exposure` 0.0: stops, applied to the colour of the result.
     Returns: (…, 4), linear, premultiplied RGBA, alpha in [0, 1].
@@ -76,7 +77,9 @@ def hue_add(
     `c1`, `c2`: (…, 3), linear RGB, unbounded; broadcast against each other.
     `hue_tolerance`: degrees between p vectors, 0 for the paper's operator.
     `space`: a name of `SPACES`, in which hue and chroma are measured.
-    Returns: (…, 3), linear RGB. float64 if either is, else float32.
+    Returns: (…, 3), linear RGB. float64 if either is, else float32. Where ⊕ leaves the gamut, as it
+      may in hsl, oklab and cielab, every channel is brought within the sums of the largest and of
+      the negative channels: unlike in `composite`, what alpha would allow beyond is not known.
     Errors: `SettingError` for a rule, `MismatchError` for a shape.
     Source: Chuang et al. 2009, Algorithm 1.
     """
@@ -85,7 +88,10 @@ def hue_add(
     if a.ndim == 0 or a.shape[-1] != 3:
         raise MismatchError(f"colours of shape {a.shape}: RGB needs 3 components on the last axis")
     dtype = np.result_type(np.float32, *(c.dtype for c in (a, b) if c.dtype == np.float64))
-    y1, p1 = blending_space.forward(a.reshape(-1, 3).T.astype(dtype))
-    y2, p2 = blending_space.forward(b.reshape(-1, 3).T.astype(dtype))
+    first, second = (c.reshape(-1, 3).T.astype(dtype) for c in (a, b))
+    y1, p1 = blending_space.forward(first)
+    y2, p2 = blending_space.forward(second)
     p = addition.add_hue_preserving(p1, p2, tolerance)
-    return blending_space.inverse(y1 + y2, p).T.reshape(a.shape)  # Eq. 1
+    bounds = gamut.bounds_of(blending_space, first) + gamut.bounds_of(blending_space, second)
+    rgb = gamut.colors_within(blending_space, y1 + y2, p, bounds)  # Eq. 1
+    return rgb.T.reshape(a.shape)

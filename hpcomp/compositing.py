@@ -37,7 +37,7 @@ class StackRules:
     """Everything that decides how the pixels of a stack become one: no pixels, no files.
 
     `operators[i]` puts layer i on those below it (None for layer 0); `opacities` are in [0, 1];
-    `background` is straight linear RGB; `exposure` is in stops.
+    `background` is straight linear RGB; `exposure` is in stops. `space` is that of reports.
     """
 
     operators: tuple[porter_duff.Operator | None, ...]
@@ -56,6 +56,14 @@ class StackRules:
     def add_all(self, terms: Array) -> Array:
         """All of p (n, 2, …) at once → (2, …)."""
         return self.blending.add_all(terms, self.hue_tolerance)
+
+    @property
+    def blending_space(self) -> spaces.Space:
+        """The space in which p adds: + gives one picture in all, which only linear maps give."""
+        plain = self.blending is addition.BLENDINGS["traditional"]
+        if not plain or self.space.linear:
+            return self.space
+        return spaces.space("linear-rgb", self.space.rgb_to_xyz)
 
     @property
     def reduction(self) -> Reduction:

@@ -65,8 +65,13 @@ def active() -> ModuleType:
 
 
 def start(rules: StackRules, width: int, height: int, dtype: Any = np.float32) -> Accumulator:
-    """An empty accumulator of the active engine; float64 is composited by the reference."""
-    engine = reference if dtype == np.float64 else active()
+    """An empty accumulator of the active engine; float64 is composited by the reference.
+
+    So are, for now, spaces whose maps are not linear.
+    """
+    engine = active()
+    if dtype == np.float64 or not rules.blending_space.linear:
+        engine = reference
     accumulator: Accumulator = engine.start(rules, width, height, dtype)
     return accumulator
 
@@ -80,8 +85,12 @@ def findings(
     height: int,
     with_provenance: bool = False,
 ) -> tuple[StackFindings, Provenance | None]:
-    """What the active engine finds of a strip, all its layers bottom first."""
-    found: tuple[StackFindings, Provenance | None] = import_module(active().MEASURING).findings(
+    """What the active engine finds of a strip, all its layers bottom first.
+
+    The kernel measures in linear spaces alone: the reference does in the others.
+    """
+    engine = active() if rules.space.linear else reference
+    found: tuple[StackFindings, Provenance | None] = import_module(engine.MEASURING).findings(
         rules, settings, bins, strips, width, height, with_provenance
     )
     return found

@@ -248,7 +248,7 @@ def _layer_steps(
     pixels: Sequence[Rgba],
 ) -> tuple[LayerStep, ...]:
     with np.errstate(all="ignore"):  # a pixel that is let through as it is may be NaN
-        terms = weighted(rules, pixels)
+        terms = weighted(rules, rules.space, pixels)
         steps = []
         for number, (spec, strip, rgba) in enumerate(zip(specs, strips, pixels, strict=True)):
             luminance, p = rules.space.forward(rgba.T[:3])
@@ -276,7 +276,7 @@ def _background_step(rules: StackRules, pixels: Sequence[Rgba]) -> BackgroundSte
     if rules.background is None:
         return None
     with np.errstate(all="ignore"):
-        weight = float(1 - weighted(rules, pixels).alpha[0])
+        weight = float(1 - weighted(rules, rules.space, pixels).alpha[0])
     luminance, p = rules.space.forward(np.array(rules.background, np.float32)[:, None])
     return BackgroundStep(
         rgb=rules.background,
@@ -315,11 +315,14 @@ def _degrees_between(p1: Array, p2: Array) -> float | None:
 
 @dataclass(frozen=True)
 class _Party:
-    """Colours that were added so far: whose, their Y (1) and p (2, 1)."""
+    """Colours that were added so far: whose, their Y (1), p (2, 1), and where p is not linear in
+    it RGB (3, 1).
+    """
 
     numbers: tuple[int | None, ...]
     luminance: Array
     p: Array
+    rgb: Array | None
 
 
 @dataclass
@@ -337,7 +340,7 @@ class _Trace:
         if not found.known.all():
             return
         parties = [
-            _Party((number,), luminance, p)
+            _Party((number,), luminance, p, None if found.rgb is None else found.rgb[number])
             for number, (luminance, p) in enumerate(zip(found.luminance, found.p, strict=True))
         ]
         # The orders reduce whatever can be added: here, parties instead of arrays.
@@ -354,7 +357,12 @@ class _Trace:
 
     def _meet(self, a: _Party, b: _Party) -> _Party:
         rules = self.rules
-        both = _Party(a.numbers + b.numbers, a.luminance + b.luminance, rules.add(a.p, b.p))
+        p, rgb = rules.add(a.p, b.p), None
+        if a.rgb is not None and b.rgb is not None and rules.blending_space is not rules.space:
+            # Plain + of colours, whose p do not add in this space.
+            rgb = a.rgb + b.rgb
+            p = rules.space.forward(rgb)[1]
+        both = _Party(a.numbers + b.numbers, a.luminance + b.luminance, p, rgb)
         angle = _degrees_between(a.p, b.p)
         equality = dominant = None
         if self._keeps_hues and angle is not None:
@@ -383,7 +391,7 @@ class _Trace:
         luminance = np.sum([party.luminance for party in parties], axis=0)
         if self._keeps_hues:
             self._note_rivals([number for number in range(len(p)) if _size(p[number]) > 0], p)
-        return _Party(numbers, luminance, rules.add_all(p))
+        return _Party(numbers, luminance, rules.add_all(p), None)
 
     def _note_rivals(self, with_hue: Sequence[int], p: Array) -> None:
         if not with_hue:

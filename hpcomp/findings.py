@@ -105,7 +105,7 @@ def _histograms(
     opacities = np.array(rules.opacities, np.float32)
     alpha = pixels.alpha[pixels.known]
     results = []
-    for p in (pixels.reduced(rules), pixels.plain()):
+    for p in (pixels.reduced(rules), pixels.plain(rules)):
         # What cannot be measured is still a pixel of the picture.
         rgba = np.full((len(pixels.known), 4), np.nan, np.float32)
         rgb = rules.space.inverse(summed(pixels.luminance), p)

@@ -339,18 +339,24 @@ def _of_block(planes: NDArray[np.float32], like: HueHistogram) -> HueHistogram:
     transparent = finite & (alpha == 0) & (size == 0)
     grey = (difference == 0) | (difference < np.float32(like.achromatic) * size)
     chosen = np.flatnonzero(finite & ~grey)
+    space = spaces.space(like.space)
+    _, p = space.forward(rgb[:, chosen])
+    if not space.linear:
+        # A colour without luminance has no hue where it is taken at Y = 1.
+        with_hue = p.any(axis=0)
+        chosen, p = chosen[with_hue], p[:, with_hue]
     rgb, alpha = rgb[:, chosen], alpha[chosen]
 
     # Centred bins: half a bin is added before rounding down.
-    place = spaces.space(like.space).hue_axis.sextants(rgb) * np.float32(like.bins / 6)
+    place = space.hue_axis.sextants(rgb) * np.float32(like.bins / 6)
     index = np.floor(place + np.float32(0.5)).astype(np.intp) % like.bins
-    _, p = spaces.space(like.space).forward(rgb)
     chroma = np.sqrt(p[0] * p[0] + p[1] * p[1])
 
     def summed(values: NDArray[np.float32]) -> Counts:
         units = np.rint(_within_addends(values) * np.float32(1 / SUM_UNIT))
         return np.bincount(index, units, like.bins).astype(np.int64)
 
+    n_finite = int(np.count_nonzero(finite))
     n_transparent = int(np.count_nonzero(transparent))
     return HueHistogram(
         like.space,
@@ -359,9 +365,9 @@ def _of_block(planes: NDArray[np.float32], like: HueHistogram) -> HueHistogram:
         chroma=summed(chroma),
         alpha=summed(alpha),
         rgb=np.stack([summed(plane) for plane in rgb], axis=1),
-        grey=int(np.count_nonzero(finite & grey)) - n_transparent,
+        grey=n_finite - len(chosen) - n_transparent,
         transparent=n_transparent,
-        nonfinite=int(np.count_nonzero(~finite)),
+        nonfinite=finite.size - n_finite,
     )
 
 

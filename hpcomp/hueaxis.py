@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -80,3 +81,37 @@ def _hexagon_color(degrees: Array) -> Array:
 #: The hue of HSL and HSV, taken of the linear colour: one number for every half-plane that the grey
 #: axis bounds. Smith: Color Gamut Transform Pairs, SIGGRAPH 1978.
 HEXAGON = HueAxis("HSL hue of the linear colour", _hexagon_sextants, _hexagon_color)
+
+
+#: Steps of a way around the circle of the most saturated colours, and halvings of one of them.
+_AROUND, _HALVINGS = 720, 40
+
+
+def angle_axis(title: str, p_of: Callable[[Array], Array]) -> HueAxis:
+    """The axis of the angle of p, `p_of` rgb (3, …) being (2, …)."""
+
+    def sextants(rgb: Array) -> Array:
+        p = p_of(rgb)
+        return np.arctan2(p[1], p[0]) * p.dtype.type(3 / np.pi)
+
+    @cache
+    def turn() -> tuple[Array, Array]:
+        # The most saturated colours are those of the hexagon, in the same sequence. Where the angle
+        # turns back for a moment, as that of Oklab does before blue, the way ahead is taken.
+        around = np.linspace(0, 360, _AROUND + 1)
+        angles = np.degrees(np.unwrap(np.arctan2(*p_of(_hexagon_color(around))[::-1])))
+        return around, np.maximum.accumulate(angles)
+
+    def color(degrees: Array) -> Array:
+        around, angles = turn()
+        wanted = angles[0] + np.mod(np.asarray(degrees, np.float64) - angles[0], 360.0)
+        step = np.clip(np.searchsorted(angles, wanted, side="right"), 1, _AROUND)
+        below, above = around[step - 1], around[step]
+        for _ in range(_HALVINGS):
+            middle = (below + above) / 2
+            found = np.degrees(np.arctan2(*p_of(_hexagon_color(middle))[::-1]))
+            before = np.mod(found - wanted + 180, 360) < 180
+            below, above = np.where(before, middle, below), np.where(before, above, middle)
+        return _hexagon_color((below + above) / 2)
+
+    return HueAxis(title, sextants, color)

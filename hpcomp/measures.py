@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 from .addition import ROUNDING_ANGLE, sum_traditional
 from .compositing import StackRules, stack_rules
 from .errors import MismatchError, SettingError
+from .gamut import bounds_of, colors_within
 from .histogram import DEFAULT_ACHROMATIC, LARGEST_ADDEND, SUM_UNIT
 from .orders import ORDERS
 from .terms import weighted
@@ -72,10 +73,12 @@ def measure_settings(
 ) -> MeasureSettings:
     """The settings, checked; the foreign tolerance is 2τ of the stack if it is not given.
 
-    At τ = 0 that is what rounding turns a hue by. Errors: `SettingError`.
+    At τ = 0 that is what rounding turns a hue by, and in some spaces the way back into gamut turns
+    it as well. Errors: `SettingError`.
     """
     if foreign_tolerance is None:
-        foreign_tolerance = max(2 * rules.hue_tolerance, math.degrees(ROUNDING_ANGLE))
+        turn = max(2 * rules.hue_tolerance, math.degrees(ROUNDING_ANGLE))
+        foreign_tolerance = turn + rules.space.gamut_turn
     for what, value, most in (
         ("half step", half_step, 1),
         ("achromatic saturation", achromatic, 1),
@@ -312,7 +315,8 @@ class Contributors:
     `luminance` (terms, pixels) and `p` (terms, 2, pixels) hold the pixels that can be measured,
     `known` (all pixels) says which those are; `size` is |t|, (terms, pixels). The background is
     among them where the stack has one: `n_layers` counts those before it. `alpha` (all pixels): of
-    the stack over its background.
+    the stack over its background. In a space that is not linear also their colours, `rgb`
+    (terms, 3, pixels), and the sum of their `gamut.bounds_of`.
     """
 
     n_layers: int
@@ -321,6 +325,8 @@ class Contributors:
     size: Array
     known: Mask
     alpha: Array
+    rgb: Array | None = None
+    bounds: Array | None = None
 
     def total(self) -> Array:
         """Σ|t|, (pixels)."""
@@ -328,25 +334,42 @@ class Contributors:
 
     def reduced(self, rules: StackRules, order: str | None = None) -> Array:
         """The chroma p (2, pixels) of the stack, in its own or another order."""
+        if rules.blending_space is not rules.space:
+            return self.plain(rules)
         row = rules.order if order is None else ORDERS[order]
         p = row.reduce(self.p[: self.n_layers], rules.add, rules.add_all)
-        return p if self.n_layers == len(self.p) else rules.add(p, self.p[-1])
+        if self.n_layers < len(self.p):
+            p = rules.add(p, self.p[-1])
+        if self.bounds is None or rules.space.linear:
+            return p
+        # What came of it, back in gamut.
+        rgb = colors_within(rules.space, summed(self.luminance), p, self.bounds)
+        return rules.space.forward(rgb)[1]
 
-    def plain(self) -> Array:
+    def plain(self, rules: StackRules) -> Array:
         """The chroma p (2, pixels) of plain +."""
-        return sum_traditional(self.p, 0.0)
+        if self.rgb is None:
+            return sum_traditional(self.p, 0.0)
+        return rules.space.forward(summed(self.rgb))[1]
 
 
 def contributors(rules: StackRules, layers: Sequence[Array]) -> Contributors:
     """The contributors to pixels of a stack; `layers` as in `measured`."""
-    terms = weighted(rules, layers)
+    terms = weighted(rules, rules.space, layers)
     luminance, p, alpha = terms.luminance, terms.p, terms.alpha
+    rgb, limits = None, terms.bounds
+    if not rules.space.linear:
+        scales = terms.weights * np.array(rules.opacities, p.dtype)[:, None]
+        rgb = np.stack([w * layer.T[:3] for w, layer in zip(scales, layers, strict=True)])
     if rules.background is not None:
         color = np.array(rules.background, p.dtype)[:, None]
         luminance_below, p_below = rules.space.forward(color)
         uncovered = 1 - terms.alpha
         luminance = np.concatenate([luminance, (uncovered * luminance_below)[None]])
         p = np.concatenate([p, (uncovered * p_below)[None]])
+        if rgb is not None:
+            rgb = np.concatenate([rgb, (uncovered * color)[None]])
+        limits = limits + uncovered * bounds_of(rules.space, color, 1.0)
         alpha = np.ones_like(alpha)
     known = np.logical_and(
         (np.abs(luminance) < LARGEST_MEASURED).all(axis=0),
@@ -354,7 +377,11 @@ def contributors(rules: StackRules, layers: Sequence[Array]) -> Contributors:
     )
     if not known.all():
         luminance, p = luminance[:, known], p[:, :, known]
-    return Contributors(len(terms.p), luminance, p, length(p[:, 0], p[:, 1]), known, alpha)
+        limits = limits[:, known]
+        if rgb is not None:
+            rgb = rgb[:, :, known]
+    size = length(p[:, 0], p[:, 1])
+    return Contributors(len(terms.p), luminance, p, size, known, alpha, rgb, limits)
 
 
 def length(x: Array, y: Array) -> Array:
@@ -430,7 +457,7 @@ def _measured_block(
     p = pixels.reduced(rules)
     support = Support.of(p, pixels, settings)
     result, chromatic = _result_measures(rules, settings, pixels, p, support)
-    p_plain = pixels.plain()
+    p_plain = pixels.plain(rules)
     traditional, _ = _result_measures(
         rules, settings, pixels, p_plain, Support.of(p_plain, pixels, settings)
     )

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from .compositing import Reduction, StackRules
 from .encoding import Losses
+from .gamut import bounds_of, colors_within
 from .samples import Samples, Strip, cropped, encode, linear_rgba, spread
 from .terms import term, weighted
 
@@ -56,6 +57,13 @@ class _Accumulator(ABC):
             rgba = self.composite().reshape(self.height, self.width, 4)
             return encode(rgba, kind, losses)
 
+    def term(self, number: int, rgba: Array) -> tuple[Array, Array, Array, Array]:
+        """As `terms.term`, of layer `number`."""
+        return term(self.rules.blending_space, self.rules.opacities[number], rgba)
+
+    def _no_bounds(self, n_pixels: int, dtype: Any) -> Array:
+        return bounds_of(self.rules.blending_space, np.zeros((3, n_pixels), dtype))
+
     @abstractmethod
     def _begin(self, n_pixels: int, dtype: Any) -> None: ...
 
@@ -73,22 +81,24 @@ class BottomUp(_Accumulator):
 
     def _begin(self, n_pixels: int, dtype: Any) -> None:
         self.luminance, self.alpha = np.zeros((2, n_pixels), dtype)
-        self.p = np.zeros((2, n_pixels), dtype)
+        self.p, self.bounds = np.zeros((2, n_pixels), dtype), self._no_bounds(n_pixels, dtype)
 
     def take(self, number: int, rgba: Array) -> None:
         operator = self.rules.operators[number]
         for block in _blocks(len(rgba)):
-            luminance, p, alpha = term(self.rules, number, rgba[block])
+            luminance, p, alpha, bounds = self.term(number, rgba[block])
             if operator is not None:
                 alpha_below = self.alpha[block]
                 f_a, f_b = operator.factors(alpha, alpha_below)
                 luminance = f_a * luminance + f_b * self.luminance[block]  # [R1]
                 p = self.rules.add(f_a * p, f_b * self.p[:, block])  # Eq. 2 with ⊕
+                bounds = f_a * bounds + f_b * self.bounds[:, block]
                 alpha = operator.alpha(alpha, alpha_below)
             self.luminance[block], self.p[:, block], self.alpha[block] = luminance, p, alpha
+            self.bounds[:, block] = bounds
 
     def composite(self) -> Array:
-        return _result(self.rules, self.luminance, self.p, self.alpha)
+        return _result(self.rules, self.luminance, self.p, self.bounds, self.alpha)
 
 
 class FrontToBack(_Accumulator):
@@ -96,20 +106,22 @@ class FrontToBack(_Accumulator):
 
     def _begin(self, n_pixels: int, dtype: Any) -> None:
         self.luminance, self.alpha = np.zeros((2, n_pixels), dtype)
-        self.p = np.zeros((2, n_pixels), dtype)
+        self.p, self.bounds = np.zeros((2, n_pixels), dtype), self._no_bounds(n_pixels, dtype)
         self.transmittance = np.ones(n_pixels, dtype)
 
     def take(self, number: int, rgba: Array) -> None:
         for block in _blocks(len(rgba)):
-            luminance, p, alpha = term(self.rules, number, rgba[block])
+            luminance, p, alpha, bounds = self.term(number, rgba[block])
             weight = self.transmittance[block]
             self.luminance[block] += weight * luminance  # [R1]
             self.p[:, block] = self.rules.add(self.p[:, block], weight * p)
+            self.bounds[:, block] += weight * bounds
             self.alpha[block] += weight * alpha
             self.transmittance[block] *= 1 - alpha
 
     def composite(self) -> Array:
-        return _result(self.rules, self.luminance, self.p, np.minimum(self.alpha, 1))
+        alpha = np.minimum(self.alpha, 1)
+        return _result(self.rules, self.luminance, self.p, self.bounds, alpha)
 
 
 class AllLayers(_Accumulator):
@@ -129,12 +141,12 @@ class AllLayers(_Accumulator):
 
     def _reduced(self, layers: list[Array]) -> Array:
         rules = self.rules
-        terms = weighted(rules, layers)
+        terms = weighted(rules, rules.blending_space, layers)
         luminance = np.zeros_like(terms.alpha)
         for luminance_layer in terms.luminance:
             luminance += luminance_layer  # [R1]
         p = rules.order.reduce(terms.p, rules.add, rules.add_all)
-        return _result(rules, luminance, p, terms.alpha)
+        return _result(rules, luminance, p, terms.bounds, terms.alpha)
 
 
 def _blocks(n_pixels: int) -> Iterator[slice]:
@@ -142,19 +154,24 @@ def _blocks(n_pixels: int) -> Iterator[slice]:
         yield slice(begin, min(begin + BLOCK_PIXELS, n_pixels))
 
 
-def _result(rules: StackRules, luminance: Array, p: Array, alpha: Array) -> Array:
+def _result(
+    rules: StackRules, luminance: Array, p: Array, bounds_of_all: Array, alpha: Array
+) -> Array:
     """The reduced stack over its background and exposed, as RGBA (n, 4)."""
+    space = rules.blending_space
     rgba = np.empty((len(alpha), 4), alpha.dtype)
     for block in _blocks(len(alpha)):
         y_block, p_block, a_block = luminance[block], p[:, block], alpha[block]
+        b_block = bounds_of_all[:, block]
         if rules.background is not None:
             colour = np.array(rules.background, alpha.dtype)[:, None]
-            y_below, p_below = rules.space.forward(colour)
+            y_below, p_below = space.forward(colour)
             uncovered = 1 - a_block
             y_block = y_block + uncovered * y_below
             p_block = rules.add(p_block, uncovered * p_below)
+            b_block = b_block + uncovered * bounds_of(space, colour, 1.0)
             a_block = np.ones_like(a_block)
-        rgb = rules.space.inverse(y_block, p_block)
+        rgb = colors_within(space, y_block, p_block, b_block)
         if rules.exposure:
             rgb *= 2.0**rules.exposure
         rgba[block, :3] = rgb.T

@@ -14,6 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .compositing import StackRules
+from .gamut import bounds_of
+from .spaces import Space
 
 Array = NDArray[np.floating[Any]]
 
@@ -22,31 +24,34 @@ Array = NDArray[np.floating[Any]]
 class Terms:
     """The terms of a stack, bottom first: `weights` w (n, pixels), Y scaled by w, p scaled by w.
 
-    `luminance`: (n, pixels). `p`: (n, 2, pixels). `alpha`: (pixels), of the whole stack.
+    `luminance`: (n, pixels). `p`: (n, 2, pixels). `bounds`: the sum of theirs, as in `gamut`.
+    `alpha`: (pixels), of the whole stack.
     """
 
     weights: Array
     luminance: Array
     p: Array
+    bounds: Array
     alpha: Array
 
 
-def term(rules: StackRules, number: int, rgba: Array) -> tuple[Array, Array, Array]:
-    """(Y, p, α) of layer `number` scaled by its opacity; rgba (n, 4) → (n), (2, n), (n)."""
+def term(space: Space, opacity: float, rgba: Array) -> tuple[Array, Array, Array, Array]:
+    """(Y, p, α) and `gamut.bounds_of` of a layer at its opacity; rgba (n, 4) → planes of n."""
     planes = np.ascontiguousarray(rgba.T)
-    opacity = rules.opacities[number]
     if opacity != 1:
         planes = planes * opacity
-    luminance, p = rules.space.forward(planes[:3])
-    return luminance, p, planes[3]
+    luminance, p = space.forward(planes[:3])
+    return luminance, p, planes[3], bounds_of(space, planes[:3], planes[3])
 
 
-def weighted(rules: StackRules, layers: Sequence[Array]) -> Terms:
+def weighted(rules: StackRules, space: Space, layers: Sequence[Array]) -> Terms:
     """The terms of `layers`, each (pixels, 4), linear, premultiplied, alpha in [0, 1]."""
-    found = [term(rules, number, rgba) for number, rgba in enumerate(layers)]
+    found = [
+        term(space, opacity, rgba) for opacity, rgba in zip(rules.opacities, layers, strict=True)
+    ]
     alpha = found[0][2]
     factors: list[tuple[Any, Any]] = [(1.0, 0.0)]
-    for operator, (_, _, alpha_layer) in zip(rules.operators[1:], found[1:], strict=True):
+    for operator, (_, _, alpha_layer, _) in zip(rules.operators[1:], found[1:], strict=True):
         assert operator is not None
         factors.append(operator.factors(alpha_layer, alpha))
         alpha = operator.alpha(alpha_layer, alpha)
@@ -55,10 +60,12 @@ def weighted(rules: StackRules, layers: Sequence[Array]) -> Terms:
     weights = np.empty((len(found), len(alpha)), alpha.dtype)
     luminance = np.empty_like(weights)
     p = np.empty((len(found), 2, len(alpha)), alpha.dtype)
+    total = np.zeros_like(found[0][3])
     for number in reversed(range(len(found))):
         f_a, f_b = factors[number]
         weights[number] = f_a * above
         above = f_b * above
         luminance[number] = weights[number] * found[number][0]
         p[number] = weights[number] * found[number][1]
-    return Terms(weights, luminance, p, alpha)
+        total += weights[number] * found[number][3]
+    return Terms(weights, luminance, p, total, alpha)

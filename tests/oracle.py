@@ -148,8 +148,173 @@ def color_of_xyz(y, p):
     )
 
 
+def chroma_of_hsl(c):
+    """Along the difference vector, with the length max − min."""
+    d = difference(c)
+    if length(d) == 0:
+        return (0.0, 0.0)
+    u = scaled(max(c) - min(c), unit(d))
+    return tuple(sum(a * b for a, b in zip(u, axis, strict=True)) for axis in (AXIS_1, AXIS_2))
+
+
+def color_of_hsl(y, p):
+    if p == (0, 0):
+        return (y, y, y)
+    d = added(scaled(p[0], AXIS_1), scaled(p[1], AXIS_2))
+    return color(y, scaled(math.hypot(*p) / (max(d) - min(d)), d))
+
+
+def solved(rows, wanted):
+    """x of rows · x = wanted, by Cramer's rule."""
+    columns = list(zip(*rows, strict=True))
+    whole = determinant(*columns)
+    return tuple(
+        determinant(*(wanted if i == j else column for j, column in enumerate(columns))) / whole
+        for i in range(3)
+    )
+
+
+def xyz_of_color(c):
+    return tuple(math.fsum(c[i] * PRIMARIES_XYZ[i][row] for i in range(3)) for row in range(3))
+
+
+def color_of_tristimulus(xyz):
+    return solved(list(zip(*PRIMARIES_XYZ, strict=True)), xyz)
+
+
+def applied(rows, v):
+    return tuple(math.fsum(a * b for a, b in zip(row, v, strict=True)) for row in rows)
+
+
+# W3C, CSS Color Module Level 4, sample code for color conversions: Oklab after Ottosson.
+XYZ_TO_LMS = (
+    (0.8190224379967030, 0.3619062600528904, -0.1288737815209879),
+    (0.0329836539323885, 0.9292868615863434, 0.0361446663506424),
+    (0.0481771893596242, 0.2642395317527308, 0.6335478284694309),
+)
+LMS_TO_OKLAB = (
+    (0.2104542683093140, 0.7936177747023054, -0.0040720430116193),
+    (1.9779985324311684, -2.4285922420485799, 0.4505937096174110),
+    (0.0259040424655478, 0.7827717124575296, -0.8086757549230774),
+)
+
+
+def cube_root(x):
+    return math.copysign(math.cbrt(abs(x)), x)
+
+
+def oklab_of_xyz(xyz):
+    return applied(LMS_TO_OKLAB, [cube_root(cone) for cone in applied(XYZ_TO_LMS, xyz)])
+
+
+def xyz_of_oklab(lab):
+    return solved(XYZ_TO_LMS, [root**3 for root in solved(LMS_TO_OKLAB, lab)])
+
+
+def cielab_of_xyz(xyz):
+    """CIE 15:2018, 8.2.1, the white being D65."""
+
+    def f(t):
+        return math.cbrt(t) if t > (6 / 29) ** 3 else t / 3 * (29 / 6) ** 2 + 4 / 29
+
+    x, y, z = (f(value / of_white) for value, of_white in zip(xyz, xyz_of(D65), strict=True))
+    return (116 * y - 16, 500 * (x - y), 200 * (y - z))
+
+
+def xyz_of_cielab(lab):
+    """CIE 15:2018, annex D."""
+
+    def cubed(root):
+        return root**3 if root > 6 / 29 else 3 * (6 / 29) ** 2 * (root - 4 / 29)
+
+    y = (lab[0] + 16) / 116
+    roots = (y + lab[1] / 500, y, y - lab[2] / 200)
+    return tuple(
+        cubed(root) * of_white for root, of_white in zip(roots, xyz_of(D65), strict=True)
+    )
+
+
+def chromaticity(lab_of, c):
+    """(a, b)/L of c scaled to Y = 1; in steps, as 1/Y may not be a number."""
+    small = tuple(component / max(c) for component in c)
+    lab = lab_of(xyz_of_color(tuple(component / luminance(small) for component in small)))
+    # Where L is not positive the length is beyond every bound.
+    size, across = math.hypot(lab[1], lab[2]), max(lab[0], 1e-300)
+    return (0.0, 0.0) if size == 0 else tuple(x / size * (size / across) for x in lab[1:])
+
+
+def no_longer_than(most, v):
+    return scaled(min(1.0, most / math.hypot(*v)), v) if any(v) else v
+
+
+#: L of white, and how far |p|/Y may go: twice as far as in blue, which has most, but in Oklab only
+#: as far as (1, a/L, b/L) has a quarter of white's luminance in every direction, half a degree apart.
+WHITE_L = {"oklab": 1.0, "cielab": 100.0}
+
+
+def least_luminance(most):
+    angles = [math.radians(step / 2) for step in range(720)]
+    return min(
+        xyz_of_oklab((1.0, most * math.cos(angle), most * math.sin(angle)))[1] for angle in angles
+    )
+
+
+def farthest_in_oklab():
+    near, far = 0.0, 2 * math.hypot(*chromaticity(oklab_of_xyz, (0.0, 0.0, 1.0)))
+    for _ in range(40):
+        middle = (near + far) / 2
+        near, far = (middle, far) if least_luminance(middle) >= 1 / 4 else (near, middle)
+    return near
+
+
+MOST = {
+    "oklab": farthest_in_oklab(),
+    "cielab": 2 * math.hypot(*chromaticity(cielab_of_xyz, (0.0, 0.0, 1.0))),
+}
+
+
+def uniform(name, lab_of, xyz_of_lab):
+    """p = Y·(a, b)/L of the colour at Y = 1, and the way back."""
+
+    def chroma_of(c):
+        y = luminance(c)
+        if y <= 0:
+            return (0.0, 0.0)
+        return scaled(y, no_longer_than(MOST[name], chromaticity(lab_of, c)))
+
+    def color_of(y, p):
+        if y <= 0:
+            return (y, y, y)
+        a, b = no_longer_than(MOST[name], tuple(component / y for component in p))
+        most = WHITE_L[name]
+        c = color_of_tristimulus(xyz_of_lab((most, most * a, most * b)))
+        return scaled(y / luminance(c), c)
+
+    return chroma_of, color_of
+
+
 #: By name: p of a colour, and the colour of a luminance and p.
-SPACES = {"xyz": (chroma_of_xyz, color_of_xyz)}
+SPACES = {
+    "xyz": (chroma_of_xyz, color_of_xyz),
+    "hsl": (chroma_of_hsl, color_of_hsl),
+    "oklab": uniform("oklab", oklab_of_xyz, xyz_of_oklab),
+    "cielab": uniform("cielab", cielab_of_xyz, xyz_of_cielab),
+}
+
+#: Those in which (+) may leave the gamut.
+OPEN = ("hsl", "oklab", "cielab")
+
+
+def within(c, lo, hi):
+    """c, or the nearest colour to it on the way to its grey whose channels are in [lo, hi]."""
+    y = luminance(c)
+    t = 1.0
+    for channel in c:
+        if channel > hi:
+            t = min(t, max(hi - y, 0) / (channel - y))
+        if channel < lo:
+            t = min(t, max(y - lo, 0) / (y - channel))
+    return tuple(y + t * (channel - y) for channel in c)
 
 
 def disguised(space, c):
@@ -400,10 +565,23 @@ def composite(
 
 
 def composite_in(space, layers, background=None, **job):
-    """`composite` in another space."""
+    """`composite` in another space; + is the same in all."""
+    if job.get("blending") == "traditional":
+        return composite(layers, background=background, **job)
     result = composite(
         [(*disguised(space, layer[:3]), layer[3]) for layer in layers],
         background=None if background is None else disguised(space, background),
         **job,
     )
-    return (*revealed(space, result[:3]), result[3])
+    c = revealed(space, result[:3])
+    if space in OPEN:
+        n = len(layers)
+        terms = as_read(layers, job.get("opacities", [1.0] * n))
+        w, alpha = weights([alpha_i for _, alpha_i in terms], job.get("ops", ["over"] * n))
+        if background is not None:
+            terms.append((background, 1.0))
+            w.append(1 - alpha)
+        lo = sum(w_i * min(0, *c_i) for w_i, (c_i, _) in zip(w, terms, strict=True))
+        hi = sum(w_i * max(a_i, *c_i) for w_i, (c_i, a_i) in zip(w, terms, strict=True))
+        c = within(c, lo, hi)
+    return (*c, result[3])

@@ -140,10 +140,10 @@ def stacks(draw, hue_tolerance=2.0, min_size=1, max_size=6, hdr=True):
 
 
 @st.composite
-def jobs(draw, tolerances=hue_tolerances):
+def jobs(draw, tolerances=hue_tolerances, hdr=True):
     """Arguments of `oracle.composite`: a stack and everything that can be asked of it."""
     hue_tolerance = draw(tolerances)
-    layers = draw(stacks(hue_tolerance))
+    layers = draw(stacks(hue_tolerance, hdr=hdr))
     n = len(layers)
     return {
         "layers": layers,

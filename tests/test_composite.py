@@ -28,6 +28,7 @@ from tolerances import FLOAT32, FLOAT64, HARD_SWITCH, ROUNDING, assert_near
 
 from hpcomp.arrays import hue_add
 from hpcomp.errors import ExitCode, HpcompError, SettingError
+from hpcomp.spaces import SPACES
 
 RED = (1.0, 0.0, 0.0, 1.0)
 GREEN = (0.0, 1.0, 0.0, 1.0)
@@ -156,6 +157,23 @@ class TestEngineIsTheOracle:
         size = size_of(job["layers"], job["background"])
         expected = oracle.composite_in(space, **job)
         assert_near(run(composite, job, space=space), expected, tolerance, size)
+
+    @pytest.mark.parametrize("space", oracle.OPEN)
+    @given(job=jobs(tolerances=st.sampled_from([2.0, 10.0]), hdr=False))
+    def test_anything_single_in_other_spaces(self, composite, space, job):
+        job["layers"] = [
+            tuple(float(np.float32(component)) for component in layer) for layer in job["layers"]
+        ]
+        size = size_of(job["layers"], job["background"])
+        expected = oracle.composite_in(space, **job)
+        assert_near(run(composite, job, np.float32, space=space), expected, FLOAT32, size)
+
+    @pytest.mark.parametrize("space", SPACES)
+    @given(job=jobs())
+    def test_plain_addition_is_the_same_in_every_space(self, composite, space, job):
+        job["blending"] = "traditional"
+        size = size_of(job["layers"], job["background"])
+        assert_near(run(composite, job, space=space), oracle.composite(**job), FLOAT64, size)
 
     @given(pair=valid_pairs(), hue_tolerance=hue_tolerances)
     def test_two_layers_added_are_hue_add(self, composite, pair, hue_tolerance):

@@ -338,3 +338,17 @@ def test_a_pixel_outside_the_canvas_is_refused(desk):
 )
 def test_bad_input_has_its_line_and_its_code(desk, arguments, code, says):
     desk.refuses(code, "explain", *arguments, says=says)
+
+
+@pytest.mark.parametrize("space", hpcomp.SPACES)
+def test_plain_addition_meets_in_the_spaces_own_numbers(desk, space):
+    layers = [desk / "a.png", desk / "b.png"]
+    found = hpcomp.explain(layers, (2, 3), blending="traditional", space=space, op="plus")
+    (meeting,) = found.meetings
+    assert meeting.chroma == pytest.approx(found.result.chroma, rel=1e-5)
+    assert meeting.hue == pytest.approx(found.result.hue, abs=1e-3)
+    colors = [np.array(layer.rgba[:3], np.float64) for layer in found.layers]
+    assert found.result.rgba[:3] == pytest.approx(colors[0] + colors[1], rel=1e-5)
+    row = hpcomp.SPACES[space]
+    _, p = row.forward((colors[0] + colors[1])[:, None])
+    assert found.result.chroma == pytest.approx(np.hypot(*p)[0], rel=1e-5)

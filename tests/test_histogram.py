@@ -430,3 +430,11 @@ def test_ordinary_addition_smears_them():
     assert found.occupied > 150
     assert found.concentration.share < 0.3
     assert found.concentration.entropy > stacked("hue-preserving").concentration.entropy + 3
+
+
+@pytest.mark.parametrize("space", ["oklab", "cielab"])
+def test_a_colour_without_luminance_has_no_hue_where_the_space_sees_none(space):
+    dark = np.array([[0.1, -0.5, 0.2, 1.0], [-1.0, -2.0, -1.0, 1.0], [1.0, 0.5, 0.0, 1.0]], np.float32)
+    found = hue_histogram(dark, space=space)
+    assert (found.grey, int(found.count.sum())) == (2, 1)
+    assert hue_histogram(dark).grey == 0

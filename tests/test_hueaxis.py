@@ -27,11 +27,33 @@ def test_hue_is_that_of_hsv(rgb):
     assert degrees_apart(found, expected) < 1e-5
 
 
-@given(st.floats(0, 360))
-def test_color_of_a_hue_has_it_and_is_saturated(hue):
-    rgb = HEXAGON.color(np.array(hue))
+@pytest.mark.parametrize("space", SPACES)
+@given(hue=st.floats(0, 360))
+def test_color_of_a_hue_has_it_and_is_saturated(space, hue):
+    axis = SPACES[space].hue_axis
+    rgb = axis.color(np.array(hue))
     assert (rgb.min(), rgb.max()) == (0, 1)
-    assert degrees_apart(float(HEXAGON.degrees(rgb)), hue) < 1e-9
+    assert degrees_apart(float(axis.degrees(rgb)), hue) < 1e-9
+
+
+@pytest.mark.parametrize(
+    ("space", "degrees"),
+    # Ottosson's figures of Oklab, and those of CIELAB as printed for sRGB, D65: h of each primary.
+    [("oklab", (29.23, 142.50, 264.05)), ("cielab", (40.0, 136.0, 306.3))],
+)
+def test_hues_of_the_primaries_are_those_in_print(space, degrees):
+    found = SPACES[space].hue_axis.landmarks()
+    assert [found[name] for name in ("red", "green", "blue")] == pytest.approx(degrees, abs=0.05)
+
+
+@pytest.mark.parametrize("space", ["oklab", "cielab"])
+@given(c=st.tuples(components, components, components))
+def test_a_spaces_own_angle_is_that_of_its_p(space, c):
+    rgb = np.array(c)
+    _, p = SPACES[space].forward(rgb)
+    assume(np.hypot(*p) > 1e-6)
+    expected = np.degrees(np.arctan2(p[1], p[0]))
+    assert degrees_apart(float(SPACES[space].hue_axis.degrees(rgb)), expected) < 1e-9
 
 
 @pytest.mark.parametrize("turn", [-720.0, -30.0, 0.0, 360.0])

@@ -571,3 +571,17 @@ def test_reports_hold_the_numbers():
     below = hpcomp.stack_measures([label(0, 0.3)], background=(0.2, 0.1, 0.1))
     assert report.as_data(below, ["red"])["result"]["background"]["pixels"] == 1
     assert "background: hue survived" in report.as_text(below, ["red"])
+
+
+@pytest.mark.parametrize("space", hpcomp.SPACES)
+def test_plain_addition_is_measured_as_the_picture_it_makes(space):
+    layers = [label(0, 0.3), label(100, 0.2)]
+    rules = {"space": space, "op": "plus", "background": (0.1, 0.2, 0.05)}
+    picture = hpcomp.composite(layers, blending="traditional", **rules)
+    chroma = np.hypot(*hpcomp.SPACES[space].forward(picture.reshape(-1, 4).T[:3])[1])
+    for blending in ("traditional", "hue-preserving"):
+        found = hpcomp.stack_measures(layers, blending=blending, **rules)
+        assert found.traditional.chroma * SUM_UNIT == pytest.approx(chroma.sum(), abs=NEAR)
+    assert hpcomp.stack_measures(layers, blending="traditional", **rules).result.chroma == pytest.approx(
+        chroma.sum() / SUM_UNIT, abs=NEAR / SUM_UNIT
+    )

@@ -22,6 +22,7 @@ from ..errors import unknown_name
 from ..orders import ORDERS
 from ..porter_duff import Factor
 from ..samples import OUTPUT_TYPES, PLAIN, Decoding, Samples, Strip, cropped, linear_rgba
+from ..spaces import PlaneCoefficients
 from . import _kernel  # type: ignore[attr-defined]
 
 NAME = "kernel"
@@ -123,7 +124,7 @@ def layer_of(
 @lru_cache(maxsize=8)
 def rules_of(rules: StackRules) -> Any:
     """The rules in numbers, for the loops."""
-    n = len(rules.operators)
+    n, space = len(rules.operators), rules.blending_space
     order, sequence = _PERMUTATION, rules.order.sequence
     if rules.reduction is Reduction.BOTTOM_UP:
         order = _BOTTOM_UP
@@ -137,9 +138,10 @@ def rules_of(rules: StackRules) -> Any:
         sequence = tuple(reversed(range(n)))
     background = None
     if rules.background is not None:
-        luminance, p = rules.space.forward(np.array(rules.background, np.float32)[:, None])
+        luminance, p = space.forward(np.array(rules.background, np.float32)[:, None])
         background = [float(luminance[0]), float(p[0, 0]), float(p[1, 0])]
-    found = rules.space.coefficients
+    found = space.coefficients
+    assert isinstance(found, PlaneCoefficients)
     return _kernel.rules(
         rules.blending is BLENDINGS["hue-preserving"],
         math.radians(rules.hue_tolerance),
