@@ -6,10 +6,11 @@ from composited colour to the straight sRGB code values of a PNG. No files here.
 
 from __future__ import annotations
 
+import contextlib
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, lru_cache
 from typing import Any
 
 import numpy as np
@@ -30,11 +31,14 @@ Chromaticity = tuple[float, float]
 class Transfer:
     """A transfer curve: stored value (1.0 is white) to linear light.
 
-    `decode`: float64, any shape; negative values mirror the curve, values above 1 extend it.
+    `decode`: float64, any shape; negative values mirror the curve, values above 1 extend it, but
+    not beyond the end of a table. `channels`: the curves of red, green and blue where they differ;
+    `decode` then takes (…, 3).
     """
 
     name: str
     decode: Callable[[Float64], Float64]
+    channels: tuple[Transfer, ...] = ()
 
 
 def _decode_srgb(value: Float64) -> Float64:
@@ -66,6 +70,44 @@ def gamma(exponent: float) -> Transfer:
     )
 
 
+def mirrored(name: str, curve: Callable[[Float64], Float64]) -> Transfer:
+    """A curve that is given for values from 0 up."""
+    return Transfer(name, lambda value: np.copysign(curve(np.abs(value)), value))
+
+
+def of_channels(red: Transfer, green: Transfer, blue: Transfer) -> Transfer:
+    """A curve of its own for each channel."""
+    curves = (red, green, blue)
+    name = " / ".join(dict.fromkeys(curve.name for curve in curves))
+
+    def decode(value: Float64) -> Float64:
+        planes = [curve.decode(value[..., channel]) for channel, curve in enumerate(curves)]
+        return np.stack(planes, axis=-1)
+
+    return Transfer(name, decode, curves)
+
+
+def narrow_range(transfer: Transfer, depth: int) -> Transfer:
+    """The curve of values whose black is at 16 and whose white at 235, in 8 of `depth` bits.
+
+    Rec. ITU-R BT.709-6, item 3.4.
+    """
+    step = 2.0 ** (depth - 8) / (2**depth - 1)
+    return Transfer(
+        f"{transfer.name}, narrow range",
+        lambda value: transfer.decode((value - 16 * step) / (219 * step)),
+    )
+
+
+def _undecodable(value: Float64) -> Float64:
+    raise SettingError("HDR curves are not decoded")
+
+
+#: ITU-T H.273 code points of the curves of HDR (Rec. ITU-R BT.2100), whose light is relative to a
+#: display: they are known by name, to be refused.
+HDR_TRANSFERS = {16: Transfer("PQ", _undecodable), 18: Transfer("HLG", _undecodable)}
+
+
 def encode_srgb(linear: Float64) -> Float64:
     """Linear light to the sRGB curve, float64, any shape. IEC 61966-2-1:1999, mirrored below 0."""
     size = np.abs(linear)
@@ -73,9 +115,9 @@ def encode_srgb(linear: Float64) -> Float64:
     return np.copysign(value, linear)
 
 
-@cache
+@lru_cache(maxsize=32)
 def decode_table(transfer: Transfer, largest: int) -> NDArray[np.float32]:
-    """Linear light of each code value 0 … `largest`, float32."""
+    """Linear light of each code value 0 … `largest`, float32; of one curve for all channels."""
     return transfer.decode(np.arange(largest + 1) / largest).astype(np.float32)
 
 
@@ -138,20 +180,36 @@ def primaries_from_xy(xy: Any) -> Primaries:
     return Primaries("custom", red, green, blue, white)
 
 
+@contextlib.contextmanager
+def _colour() -> Iterator[Any]:
+    """The library, imported when it is needed."""
+    # It warns of optional packages that nothing here needs, and changes how numpy prints.
+    with warnings.catch_warnings(), np.printoptions():
+        warnings.simplefilter("ignore")
+        import colour
+
+        yield colour
+
+
 @cache
 def to_rec709(primaries: Primaries) -> Float64 | None:
     """(3, 3): linear RGB of these primaries to Rec. 709, Bradford-adapted; None if the same."""
     if primaries is REC709:
         return None
-    # colour warns of optional packages that nothing here needs, and changes how numpy prints.
-    with warnings.catch_warnings(), np.printoptions():
-        warnings.simplefilter("ignore")
-        import colour
-
+    with _colour() as colour:
         source, target = (
             colour.RGB_Colourspace(row.name, row.xy[:3], row.xy[3]) for row in (primaries, REC709)
         )
         matrix = colour.matrix_RGB_to_RGB(source, target, "Bradford")
+    return np.asarray(matrix, float)
+
+
+def adaptation(white: Array, to_white: Array) -> Float64:
+    """(3, 3): XYZ under one white to XYZ under another, by Bradford; the whites as XYZ."""
+    with _colour() as colour:
+        matrix = colour.adaptation.matrix_chromatic_adaptation_VonKries(
+            white, to_white, transform="Bradford"
+        )
     return np.asarray(matrix, float)
 
 

@@ -1,13 +1,35 @@
-"""Reads what hpcomp needs of an ICC profile: its name, and whether it is sRGB."""
+"""What an ICC profile says of RGB or grey: a curve and primaries, where it is no table. ICC.1:2022.
+
+Of a profile of matrix and curves the colorants are taken back from the D50 of the connection space
+to the profile's own white. No files here.
+"""
 
 from __future__ import annotations
 
 import struct
+from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .encoding import SRGB
+from .encoding import (
+    D65,
+    HDR_TRANSFERS,
+    LINEAR,
+    REC709,
+    SRGB,
+    ColorEncoding,
+    Primaries,
+    Transfer,
+    adaptation,
+    gamma,
+    mirrored,
+    of_channels,
+    primaries_from_xy,
+)
+
+Array = NDArray[np.floating[Any]]
 
 #: Colorants of sRGB adapted to the D50 connection space; IEC 61966-2-1 through Bradford.
 _SRGB_COLORANTS = np.array(
@@ -17,20 +39,26 @@ _SRGB_COLORANTS = np.array(
 _COLORANT_TOLERANCE = 2e-3
 _CURVE_TOLERANCE = 3e-3
 _CURVE_SAMPLES = np.linspace(0, 1, 65)
+#: XYZ of the connection space's white; ICC.1:2022, 7.2.16.
+_D50 = np.array([0.9642, 1.0, 0.8249])
+_D65 = np.array([D65[0], D65[1], 1 - D65[0] - D65[1]]) / D65[1]
+#: A white this near to D50 says nothing of the device.
+_WHITE_TOLERANCE = 5e-3
+#: The classes of profiles that take a device's values to the connection space: of inputs, displays
+#: and outputs, and conversions between spaces.
+_CLASSES = (b"scnr", b"mntr", b"prtr", b"spac")
 
 
-def is_srgb(profile: bytes) -> bool:
-    """Whether a matrix/TRC profile has the primaries and the curve of sRGB."""
+@lru_cache(maxsize=16)
+def encoding(profile: bytes, grey: bool) -> ColorEncoding:
+    """The curves and primaries of a matrix/TRC profile, or the curve of a grey one.
+
+    `grey`: whether the picture is. Errors: `ValueError` that says what kind of profile it is.
+    """
     try:
-        tags = _tags(profile)
-        colorants = np.array([_xyz(tags[name]) for name in (b"rXYZ", b"gXYZ", b"bXYZ")])
-        curves = np.array([_curve(tags[name]) for name in (b"rTRC", b"gTRC", b"bTRC")])
-    except (KeyError, struct.error, ValueError, ArithmeticError):
-        return False
-    return bool(
-        np.abs(colorants - _SRGB_COLORANTS).max() <= _COLORANT_TOLERANCE
-        and np.abs(curves - SRGB.decode(_CURVE_SAMPLES)).max() <= _CURVE_TOLERANCE
-    )
+        return _encoding(profile, grey)
+    except (KeyError, struct.error, ArithmeticError, np.linalg.LinAlgError):
+        raise ValueError("damaged") from None
 
 
 def description(profile: bytes) -> str:
@@ -46,9 +74,37 @@ def description(profile: bytes) -> str:
         return ""
 
 
+def _encoding(profile: bytes, grey: bool) -> ColorEncoding:
+    tags = _tags(profile)
+    space = profile[16:20]
+    if space != b"RGB " and not (space == b"GRAY" and grey):
+        name = space.decode("latin-1").strip().replace("GRAY", "grey")
+        raise ValueError(f"of {name}, in {'a grey' if grey else 'an RGB'} picture")
+    if profile[12:16] not in _CLASSES:
+        raise ValueError("not of a device")
+    # Where there are tables they go first (ICC.1:2022, 8.3), and a Lab space needs them.
+    if tags.keys() & {b"A2B0", b"A2B1", b"D2B0"} or profile[20:24] != b"XYZ ":
+        raise ValueError("made of tables")
+    hdr = _hdr_transfer(tags)
+    if hdr is not None:
+        return ColorEncoding(hdr, REC709)
+    if space == b"GRAY":
+        return ColorEncoding(_curve(tags[b"kTRC"]), REC709)
+    transfer = _transfer([tags[name] for name in (b"rTRC", b"gTRC", b"bTRC")])
+    if grey and transfer.channels:
+        raise ValueError("of RGB, in a grey picture")
+    return ColorEncoding(transfer, _primaries(tags))
+
+
+def _hdr_transfer(tags: dict[bytes, bytes]) -> Transfer | None:
+    """PQ or HLG, of which the curves of a profile are an approximation. ICC.1:2022, 9.2.17."""
+    tag = tags.get(b"cicp", b"")
+    return HDR_TRANSFERS.get(tag[9]) if len(tag) >= 12 else None
+
+
 def _tags(profile: bytes) -> dict[bytes, bytes]:
     if profile[36:40] != b"acsp":
-        raise ValueError("not an ICC profile")
+        raise ValueError("damaged")
     (count,) = struct.unpack(">I", profile[128:132])
     entries = (
         struct.unpack(">4sII", profile[at : at + 12])
@@ -57,31 +113,86 @@ def _tags(profile: bytes) -> dict[bytes, bytes]:
     return {name: profile[offset : offset + size] for name, offset, size in entries}
 
 
-def _xyz(tag: bytes) -> tuple[float, ...]:
-    return tuple(value / 65536 for value in struct.unpack(">3i", tag[8:20]))
+def _numbers(tag: bytes, count: int, at: int) -> Array:
+    """So many s15Fixed16Numbers."""
+    return np.array(struct.unpack_from(f">{count}i", tag, at)) / 65536
 
 
-def _curve(tag: bytes) -> NDArray[np.float64]:
-    """The curve at `_CURVE_SAMPLES`. ICC.1:2022, 10.6 and 10.18."""
-    x = _CURVE_SAMPLES
+# --- primaries ------------------------------------------------------------------------------------
+
+
+def _primaries(tags: dict[bytes, bytes]) -> Primaries:
+    """Those of the colorants, in the white that the profile was made for."""
+    colorants = np.array([_numbers(tags[name], 3, 8) for name in (b"rXYZ", b"gXYZ", b"bXYZ")])
+    if np.abs(colorants - _SRGB_COLORANTS).max() <= _COLORANT_TOLERANCE:
+        return REC709
+    if b"chad" in tags:
+        from_d50 = np.linalg.inv(_numbers(tags[b"chad"], 9, 8).reshape(3, 3))
+        return _primaries_of(colorants, from_d50)
+    # Without it Bradford's is usual, and the white may be told (version 2) or be D65 all the same.
+    # Which it is changes the name of the primaries, not what becomes of colours.
+    white = _numbers(tags[b"wtpt"], 3, 8) if b"wtpt" in tags else _D50
+    if np.abs(white - _D50).max() <= _WHITE_TOLERANCE:
+        white = _D50
+    found = [_primaries_of(colorants, adaptation(_D50, xyz)) for xyz in (white, _D65)]
+    return next((primaries for primaries in found if primaries.name != "custom"), found[0])
+
+
+def _primaries_of(colorants: Array, from_d50: Array) -> Primaries:
+    xyz = np.concatenate([colorants, _D50[None]]) @ from_d50.T
+    with np.errstate(all="ignore"):
+        return primaries_from_xy(xyz[:, :2] / xyz.sum(axis=1, keepdims=True))
+
+
+# --- curves ---------------------------------------------------------------------------------------
+
+
+def _transfer(tags: list[bytes]) -> Transfer:
+    """The curve of all channels, or one of each."""
+    found = {tag: _curve(tag) for tag in tags}
+    red, green, blue = (found[tag] for tag in tags)
+    return red if red == green == blue else of_channels(red, green, blue)
+
+
+def _curve(tag: bytes) -> Transfer:
+    """One curve; `ValueError` where it is none of light. ICC.1:2022, 10.6 and 10.18."""
+    found = _stored_curve(tag)
+    with np.errstate(all="ignore"):
+        samples = found.decode(_CURVE_SAMPLES)
+    steps = np.diff(samples)
+    if not (np.isfinite(samples).all() and steps.sum() > 0 and steps.min() >= -_CURVE_TOLERANCE):
+        raise ValueError("not of rising curves")
+    near_srgb = np.abs(samples - SRGB.decode(_CURVE_SAMPLES)).max() <= _CURVE_TOLERANCE
+    return SRGB if near_srgb else found
+
+
+def _stored_curve(tag: bytes) -> Transfer:
     kind, count = tag[:4], struct.unpack(">I", tag[8:12])[0]
     if kind == b"curv":
         table = np.frombuffer(tag[12 : 12 + 2 * count], ">u2").astype(float)
         if len(table) != count:
-            raise ValueError("curve table cut short")
+            raise ValueError("damaged")
         if count == 0:
-            return x
+            return LINEAR
         if count == 1:
-            return x ** (table[0] / 256)
-        return np.interp(x, np.linspace(0, 1, count), table / 65535)
-    if kind == b"para":
+            return gamma(float(table[0]) / 256)
+        places = np.linspace(0, 1, count)
+        return mirrored(f"table of {count}", lambda value: np.interp(value, places, table / 65535))
+    if kind == b"para" and count >> 16 < len(_PARAMETERS):
         function = count >> 16
-        n_parameters = (1, 3, 4, 5, 7)[function] if function < 5 else 0
-        parameters = [v / 65536 for v in struct.unpack_from(f">{n_parameters}i", tag, 12)]
+        given = _numbers(tag, _PARAMETERS[function], 12).tolist()
+        if function == 0:
+            return gamma(given[0])
         defaults = [1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0]
-        g, a, b, c, d, e, f = parameters + defaults[n_parameters:]
+        g, a, b, c, d, e, f = given + defaults[len(given) :]
         if function in (1, 2):  # its break is where the power begins: x = −b/a
             c, d, e, f = 0.0, -b / a, c, c
-        power = np.maximum(a * x + b, 0) ** g + e
-        return np.where(x >= d, power, c * x + f)
-    raise ValueError("unknown curve type")
+        return mirrored(
+            f"parametric, gamma {g:.4g}",
+            lambda x: np.where(x >= d, np.maximum(a * x + b, 0) ** g + e, c * x + f).clip(0),
+        )
+    raise ValueError("of unknown curves")
+
+
+#: How many parameters each function of a parametric curve has.
+_PARAMETERS = (1, 3, 4, 5, 7)

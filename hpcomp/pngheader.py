@@ -16,6 +16,7 @@ import numpy as np
 
 from . import iccprofile
 from .encoding import (
+    HDR_TRANSFERS,
     LINEAR,
     PRIMARIES,
     REC709_CAMERA,
@@ -25,6 +26,7 @@ from .encoding import (
     Primaries,
     Transfer,
     gamma,
+    narrow_range,
     primaries_from_xy,
 )
 from .errors import InputError
@@ -48,7 +50,7 @@ _PIECE_BYTES = 1 << 20
 #: No display profile is larger; a hostile one is not unpacked beyond it.
 _PROFILE_BYTES = 1 << 24
 
-#: ITU-T H.273 code points that an SDR picture can carry: colour primaries, transfer curve.
+#: ITU-T H.273 code points: colour primaries, transfer curves.
 _CICP_PRIMARIES: dict[int, Primaries] = {
     1: PRIMARIES["rec709"],
     9: PRIMARIES["rec2020"],
@@ -61,7 +63,11 @@ _CICP_TRANSFER: dict[int, Transfer] = {
     13: SRGB,
     14: REC709_CAMERA,
     15: REC709_CAMERA,
+    **HDR_TRANSFERS,
 }
+#: Colour types without colour: grey, and grey with alpha.
+_GREY_TYPES = (0, 4)
+_PALETTE = 3
 
 
 @dataclass(frozen=True)
@@ -95,53 +101,68 @@ class PngHeader:
         x, y = struct.unpack(">II", density[:8]) if len(density) == 9 else (1, 1)
         return y / x if x and y else 1.0
 
+    @property
+    def icc_profile(self) -> str:
+        """What the ICC profile calls itself, or the file the profile; empty where there is none."""
+        name = self.chunks.get(b"iCCP", b"").partition(b"\0")[0].decode("latin-1")
+        try:
+            return iccprofile.description(_profile(self)) or name
+        except ValueError:
+            return name
+
     def color(self) -> tuple[ColorEncoding, str, list[str]]:
         """(encoding, what it was read from, what cannot be honoured).
 
         Precedence: cICP, iCCP, sRGB, gAMA and cHRM, else sRGB. What is not honoured falls through
-        to the next.
+        to the next. PNG specification, third edition, 4.3.
         """
         problems: list[str] = []
         for chunk, reader in _COLOR_CHUNKS:
             if chunk in self.chunks:
                 try:
-                    return reader(self.chunks), _SOURCES[chunk], problems
+                    return reader(self), _SOURCES[chunk], problems
                 except ValueError as reason:
                     problems.append(str(reason))
         return SRGB_ENCODING, "default", problems
 
 
-def _from_cicp(chunks: dict[bytes, bytes]) -> ColorEncoding:
-    data = chunks[b"cICP"]
+def _from_cicp(header: PngHeader) -> ColorEncoding:
+    data = header.chunks[b"cICP"]
     if len(data) != 4:
         raise ValueError("a cICP chunk that is not 4 bytes long")
     primaries, transfer, matrix, full_range = data
-    if (
-        primaries in _CICP_PRIMARIES
-        and transfer in _CICP_TRANSFER
-        and (matrix, full_range) == (0, 1)
-    ):
-        return ColorEncoding(_CICP_TRANSFER[transfer], _CICP_PRIMARIES[primaries])
-    raise ValueError(f"cICP {primaries}/{transfer}/{matrix}/{full_range}")
+    if matrix or primaries not in _CICP_PRIMARIES or transfer not in _CICP_TRANSFER:
+        raise ValueError(f"cICP {primaries}/{transfer}/{matrix}/{full_range}")
+    curve = _CICP_TRANSFER[transfer]
+    if not full_range and curve not in HDR_TRANSFERS.values():
+        # The entries of a palette have 8 bits, however many its indices have.
+        curve = narrow_range(curve, 8 if header.color_type == _PALETTE else header.depth)
+    return ColorEncoding(curve, _CICP_PRIMARIES[primaries])
 
 
-def _from_iccp(chunks: dict[bytes, bytes]) -> ColorEncoding:
-    name, _, rest = chunks[b"iCCP"].partition(b"\0")
+def _profile(header: PngHeader) -> bytes:
+    """The ICC profile, unpacked; `ValueError` where that fails."""
+    _, _, rest = header.chunks.get(b"iCCP", b"").partition(b"\0")
     try:
-        profile = zlib.decompressobj().decompress(rest[1:], _PROFILE_BYTES)
+        return zlib.decompressobj().decompress(rest[1:], _PROFILE_BYTES)
     except zlib.error:
         raise ValueError("an ICC profile that does not decompress") from None
-    if iccprofile.is_srgb(profile):
-        return SRGB_ENCODING
-    label = iccprofile.description(profile) or name.decode("latin-1")
-    raise ValueError(f"the ICC profile '{label}' (not sRGB)")
 
 
-def _from_srgb(chunks: dict[bytes, bytes]) -> ColorEncoding:
+def _from_iccp(header: PngHeader) -> ColorEncoding:
+    profile = _profile(header)
+    try:
+        return iccprofile.encoding(profile, header.color_type in _GREY_TYPES)
+    except ValueError as reason:
+        raise ValueError(f"the ICC profile '{header.icc_profile}' ({reason})") from None
+
+
+def _from_srgb(header: PngHeader) -> ColorEncoding:
     return SRGB_ENCODING
 
 
-def _from_gama_chrm(chunks: dict[bytes, bytes]) -> ColorEncoding:
+def _from_gama_chrm(header: PngHeader) -> ColorEncoding:
+    chunks = header.chunks
     transfer, primaries = SRGB, SRGB_ENCODING.primaries
     if b"gAMA" in chunks:
         data = chunks[b"gAMA"]

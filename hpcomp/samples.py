@@ -46,9 +46,11 @@ class Decoding:
     zero_nonfinite: bool = False
 
     def is_plain(self, samples: Samples) -> bool:
-        """Whether a table or nothing is between these samples and linear light, times alpha."""
+        """Whether one table or nothing is between these samples and linear light, times alpha."""
         return self.alpha_mode in ("straight", "premultiplied") and (
-            samples.dtype.kind == "u" or self.encoding.transfer is LINEAR
+            self.encoding.transfer is LINEAR
+            if samples.dtype.kind != "u"
+            else not self.encoding.transfer.channels
         )
 
 
@@ -155,7 +157,13 @@ def _linear(stored: Samples, encoding: ColorEncoding) -> Rgba:
     """Stored colour (…, 1 or 3) as linear Rec. 709 (…, 3, or 1 to be spread over 3)."""
     transfer = encoding.transfer
     if stored.dtype.kind == "u":
-        linear = decode_table(transfer, int(np.iinfo(stored.dtype).max))[stored]
+        largest = int(np.iinfo(stored.dtype).max)
+        if transfer.channels:
+            linear = np.empty_like(stored, np.float32)
+            for channel, curve in enumerate(transfer.channels):
+                linear[..., channel] = decode_table(curve, largest)[stored[..., channel]]
+        else:
+            linear = decode_table(transfer, largest)[stored]
     elif transfer is LINEAR:
         linear = stored.astype(np.float32, copy=False)
     else:

@@ -476,8 +476,9 @@ def _files() -> list[str]:
     return [
         *definition(
             italic("*.png"),
-            "Read with straight alpha, as sRGB unless a cICP, sRGB, gAMA or cHRM chunk says "
-            "otherwise. Written in 8 or 16 bits, as sRGB with straight alpha.",
+            "Read with straight alpha, as sRGB unless a cICP, iCCP, sRGB, gAMA or cHRM chunk says "
+            "otherwise, the first of them in this order. Written in 8 or 16 bits, as sRGB with "
+            "straight alpha.",
         ),
         *definition(
             italic("*.exr"),

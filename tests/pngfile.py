@@ -450,8 +450,7 @@ def _curve_tag(curve: float | str, version: int) -> bytes:
         return b"curv\0\0\0\0" + struct.pack(">IH", 1, round(curve * 256))
     if version >= 4:
         return b"para\0\0\0\0\0\3\0\0" + _s15(2.4, 1 / 1.055, 0.055 / 1.055, 1 / 12.92, 0.04045)
-    table = np.round(srgb_to_linear(np.linspace(0, 1, 1024)) * 65535).astype(">u2")
-    return b"curv\0\0\0\0" + struct.pack(">I", len(table)) + table.tobytes()
+    return table(srgb_to_linear(np.linspace(0, 1, 1024)))
 
 
 def _text_tag(value: str, version: int) -> bytes:
@@ -462,48 +461,68 @@ def _text_tag(value: str, version: int) -> bytes:
     return b"desc\0\0\0\0" + struct.pack(">I", len(data)) + data + bytes(4 + 4 + 2 + 1 + 67)
 
 
+def parametric(function: int, *parameters: float) -> bytes:
+    """A parametricCurveType. ICC.1:2022, 10.18."""
+    return b"para\0\0\0\0" + struct.pack(">HH", function, 0) + _s15(*parameters)
+
+
+def table(values: Sequence[float]) -> bytes:
+    """A curveType with these values, 0 to 1. ICC.1:2022, 10.6."""
+    stored = np.round(np.asarray(values) * 65535).astype(">u2")
+    return b"curv\0\0\0\0" + struct.pack(">I", len(stored)) + stored.tobytes()
+
+
 def icc_profile(
     name: str,
     primaries: Sequence[Sequence[float]] = SRGB_XY,
-    curve: float | str = "srgb",
+    curve: float | str | Sequence[bytes] = "srgb",
     *,
+    white: Sequence[float] = D65_XY,
     version: int = 4,
     space: bytes = b"RGB ",
+    device: bytes = b"mntr",
+    more: Sequence[tuple[bytes, bytes]] = (),
+    without: Sequence[bytes] = (),
 ) -> bytes:
-    """A matrix/TRC display profile, ICC v2 or v4, white D65; `curve` is "srgb" or one exponent.
+    """A matrix/TRC profile, ICC v2 or v4; `curve` is "srgb", one exponent, or a tag a channel.
 
-    With `space` = b"GRAY" it holds one curve, as a grey PNG must have it.
+    With `space` = b"GRAY" it holds one curve, as a grey PNG must have it. Version 4 says in a chad
+    tag how the colorants were adapted, version 2 in the white point. `more`: further tags, and
+    `without`: tags that are left out.
     """
-    white = xyz_of(D65_XY)
-    matrix = bradford(white, D50) @ rgb_to_xyz(primaries, D65_XY)
-    curve_data = _curve_tag(curve, version)
+    adapted = bradford(xyz_of(white), D50)
+    matrix = adapted @ rgb_to_xyz(primaries, white)
+    curves = [_curve_tag(curve, version)] * 3 if isinstance(curve, (float, str)) else list(curve)
     tags = [
         (b"desc", _text_tag(name, version)),
         (b"cprt", _text_tag("none", 4) if version >= 4 else b"text\0\0\0\0none\0"),
-        (b"wtpt", b"XYZ \0\0\0\0" + _s15(*(D50 if version >= 4 else white))),
+        (b"wtpt", b"XYZ \0\0\0\0" + _s15(*(D50 if version >= 4 else xyz_of(white)))),
     ]
+    if version >= 4:
+        tags.append((b"chad", b"sf32\0\0\0\0" + _s15(*adapted.ravel())))
     if space == b"GRAY":
-        tags.append((b"kTRC", curve_data))
+        tags.append((b"kTRC", curves[0]))
     else:
         tags += [
             (b"rgb"[i : i + 1] + b"XYZ", b"XYZ \0\0\0\0" + _s15(*matrix[:, i])) for i in range(3)
         ]
-        tags += [(b"rgb"[i : i + 1] + b"TRC", curve_data) for i in range(3)]
-    table, body = struct.pack(">I", len(tags)), b""
+        tags += [(b"rgb"[i : i + 1] + b"TRC", curves[i]) for i in range(3)]
+    tags = [*(tag for tag in tags if tag[0] not in without), *more]
+    directory, body = struct.pack(">I", len(tags)), b""
     start = 128 + 4 + 12 * len(tags)
     seen: dict[bytes, int] = {}
     for signature, data in tags:
         if data not in seen:
             seen[data] = start + len(body)
             body += data + bytes(-len(data) % 4)
-        table += signature + struct.pack(">II", seen[data], len(data))
+        directory += signature + struct.pack(">II", seen[data], len(data))
     size = start + len(body)
     header = struct.pack(
         ">I4sI4s4s4s12s4s4sI4s4s8sI12s4s",
         size,
         b"\0\0\0\0",
         0x04300000 if version >= 4 else 0x02100000,
-        b"mntr",
+        device,
         space,
         b"XYZ ",
         struct.pack(">6H", 2000, 1, 1, 0, 0, 0),
@@ -517,4 +536,4 @@ def icc_profile(
         _s15(*D50),
         b"\0\0\0\0",
     )
-    return (header + bytes(128 - len(header)) + table + body)[:size]
+    return (header + bytes(128 - len(header)) + directory + body)[:size]

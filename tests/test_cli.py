@@ -892,7 +892,7 @@ def test_settings_after_a_name_with_colons(desk):
 
 def foreign(desk):
     """A PNG with a profile that is not honoured."""
-    profile = pngfile.icc_profile("Adobe RGB (1998)", pngfile.ADOBE_XY, 563 / 256)
+    profile = pngfile.icc_profile("Adobe RGB (1998)", more=[(b"A2B0", bytes(48))])
     desk.put(
         "foreign.png", flat(9, 99, 199, 255).with_chunks(head=[pngfile.iccp(profile)]).encode()
     )

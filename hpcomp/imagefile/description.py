@@ -132,6 +132,7 @@ def _png_part(
         pixels_per_metre=header.pixels_per_metre,
         encoding=encoding,
         encoding_source=source,
+        icc_profile=header.icc_profile,
         problems=tuple(f"{problem} is not honoured" for problem in problems),
         layout=layout,
     )
@@ -160,6 +161,7 @@ def _exr_part(spec: Any, index: int, layout: ExrLayout | None) -> Part:
         else None,
         encoding=encoding,
         encoding_source=source,
+        icc_profile="",
         problems=tuple(problems),
         layout=layout if layout and layout.window == window else None,
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from ..encoding import ColorEncoding
+from ..encoding import HDR_TRANSFERS, ColorEncoding
 from ..errors import InputError
 from ..geometry import Window
 from .exrscanlines import ExrLayout
@@ -38,7 +38,11 @@ class ColorGroup:
 
 @dataclass(frozen=True)
 class Part:
-    """One picture of a file, and how it will be read; with a `layout`, without OpenImageIO."""
+    """One picture of a file, and how it will be read; with a `layout`, without OpenImageIO.
+
+    `encoding_source`: what said so. `icc_profile`: its name, honoured or not, or empty. `problems`:
+    what is not honoured.
+    """
 
     index: int
     name: str
@@ -55,8 +59,21 @@ class Part:
     pixels_per_metre: tuple[float, float] | None
     encoding: ColorEncoding
     encoding_source: str
+    icc_profile: str
     problems: tuple[str, ...]
     layout: ExrLayout | PngLayout | None = field(repr=False)
+
+    @property
+    def refusal(self) -> str:
+        """Why its colours cannot be read, and what to do; empty where they can."""
+        transfer = self.encoding.transfer
+        if transfer not in HDR_TRANSFERS.values():
+            return ""
+        return (
+            f"its {self.encoding_source} says {transfer.name}, an HDR curve (Rec. ITU-R BT.2100), "
+            "which is not read: convert it to SDR, or to linear EXR, or overrule it with "
+            "colorspace="
+        )
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..encoding import color_space
-from ..errors import MismatchError, unknown_name
+from ..errors import InputError, MismatchError, unknown_name
 from ..geometry import Window
 from ..samples import Decoding, Rgba, Samples, Strip, linear_rgba
 from .parts import ColorGroup, ImageFile, Part
@@ -25,6 +25,7 @@ class LayerReader:
     `alpha` is one of `encoding.ALPHA_MODES` or None for the format's own; `colorspace` a name of
     `encoding.COLOR_SPACES` or None for what the file says; `nonfinite` a policy on NaN and Inf:
     `error`, `zero` (such a pixel becomes transparent black), `keep`. `label` names it in errors.
+    Errors: `SettingError`, `InputError` for colours that cannot be read.
     """
 
     def __init__(
@@ -42,6 +43,8 @@ class LayerReader:
             raise unknown_name("nonfinite policy", nonfinite, NONFINITE_POLICIES)
         self.file, self.part, self.group = file, part, group
         self.label = label or file.path
+        if part.refusal and not colorspace:
+            raise InputError(f"{self.label}: {part.refusal}")
         self.problems = () if colorspace else part.problems
         self.nonfinite = nonfinite
         self.zeroed_pixels = 0

@@ -21,6 +21,8 @@ def as_data(file: ImageFile) -> dict[str, Any]:
     data: dict[str, Any] = {"path": file.path, "format": file.format}
     try:
         part, group = choose(file)
+        if part.refusal:
+            raise InputError(f"{file.path}: {part.refusal}")
         data["read_as"] = {"part": part.index, "layer": group.layer}
     except InputError as problem:
         data["read_as"], data["problem"] = None, str(problem)
@@ -52,6 +54,7 @@ def _part_data(file: ImageFile, part: Part) -> dict[str, Any]:
         "primaries": part.encoding.primaries.name,
         "chromaticities": part.encoding.primaries.xy.tolist(),
         "color_from": part.encoding_source,
+        "icc_profile": part.icc_profile or None,
         "problems": list(part.problems),
     }
 
@@ -66,6 +69,15 @@ def _storage(part: Part) -> str:
     if part.tile is not None:
         return f"tiles of {part.tile[0]}x{part.tile[1]}"
     return "interlaced" if part.interlaced else "scanlines"
+
+
+def _primaries(part: Part) -> str:
+    """The name of the primaries; for those without a name, the numbers."""
+    primaries = part.encoding.primaries
+    if primaries.name != "custom":
+        return primaries.name
+    corners = zip(("red", "green", "blue", "white"), primaries.xy.tolist(), strict=True)
+    return "custom: " + ", ".join(f"{name} {x:.4f} {y:.4f}" for name, (x, y) in corners)
 
 
 def _alpha(file: ImageFile, group: ColorGroup) -> str:
@@ -86,8 +98,10 @@ def as_text(file: ImageFile) -> str:
             ("storage", ", ".join(filter(None, [_storage(part), part.compression]))),
             ("channels", ", ".join(f"{c.name} {c.type}" for c in part.channels)),
             ("light", f"{part.encoding.transfer.name}, from {part.encoding_source}"),
-            ("primaries", part.encoding.primaries.name),
+            ("primaries", _primaries(part)),
         ]
+        if part.icc_profile:
+            rows.append(("ICC profile", part.icc_profile))
         for group in part.groups:
             color = "".join(c.name.rpartition(".")[2] for c in group.color)
             rows.append(
