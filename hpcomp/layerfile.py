@@ -18,13 +18,16 @@ def opened_layer(spec: LayerSpec, label: str, nonfinite: str) -> Iterator[LayerR
     """
     with seekable(spec.path, label) as path:
         file = describe(path, label)
-        part, group = choose(file, part=spec.part, layer=spec.layer, label=label)
+        part, group = choose(
+            file, part=spec.part, layer=spec.layer, mask=spec.tint is not None, label=label
+        )
         reader = LayerReader(
             file,
             part,
             group,
             alpha=spec.alpha,
             colorspace=spec.colorspace,
+            tint=spec.tint,
             nonfinite=nonfinite,
             label=label,
         )

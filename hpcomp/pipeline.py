@@ -239,6 +239,7 @@ def read_layer(
     layer: str | None = None,
     alpha: str | None = None,
     colorspace: str | None = None,
+    tint: str | None = None,
     nonfinite: str = "error",
     strict: bool = False,
 ) -> LayerImage:
@@ -256,6 +257,7 @@ def read_layer(
         layer=spec.layer if layer is None else layer,
         alpha=alpha or spec.alpha,
         colorspace=colorspace or spec.colorspace,
+        tint=tint or spec.tint,
     )
     notices = Notices(strict)
     with opened_layer(spec, spec.path, nonfinite) as reader:

@@ -38,19 +38,25 @@ class Decoding:
 
     `alpha_mode` is one of `encoding.ALPHA_MODES`; `stored_straight` says whether `luminance` finds
     straight colours in the file; `zero_nonfinite` makes pixels with NaN or Inf transparent.
+    `tint`: straight linear colour of a mask, Y or YA, whose stored values are its alpha.
     """
 
     encoding: ColorEncoding
     alpha_mode: str
     stored_straight: bool
     zero_nonfinite: bool = False
+    tint: tuple[float, float, float] | None = None
 
     def is_plain(self, samples: Samples) -> bool:
         """Whether one table or nothing is between these samples and linear light, times alpha."""
-        return self.alpha_mode in ("straight", "premultiplied") and (
-            self.encoding.transfer is LINEAR
-            if samples.dtype.kind != "u"
-            else not self.encoding.transfer.channels
+        return (
+            self.tint is None
+            and self.alpha_mode in ("straight", "premultiplied")
+            and (
+                self.encoding.transfer is LINEAR
+                if samples.dtype.kind != "u"
+                else not self.encoding.transfer.channels
+            )
         )
 
 
@@ -77,6 +83,8 @@ def decode(samples: Samples, decoding: Decoding) -> Rgba:
 
     NaN comes through, and infinite colours.
     """
+    if decoding.tint is not None:
+        return _tinted(samples, decoding, decoding.tint)
     channels = samples.shape[2]
     stored_color = samples[..., : 1 if channels <= 2 else 3]
     rgba = np.empty((*samples.shape[:2], 4), np.float32)
@@ -94,6 +102,25 @@ def decode(samples: Samples, decoding: Decoding) -> Rgba:
             rgb *= alpha[..., None]
         elif decoding.alpha_mode == "luminance":
             _alpha_from_luminance(rgb, alpha, decoding.stored_straight)
+    return rgba
+
+
+def _tinted(samples: Samples, decoding: Decoding, tint: tuple[float, float, float]) -> Rgba:
+    """A mask, Y or YA, in one colour: the alpha is its value as stored, or its light, times alpha.
+
+    Stored values are coverage: 128 of 255 covers half, whatever curve the file names.
+    """
+    by_light = decoding.alpha_mode == "luminance"
+    straight = decoding.stored_straight if by_light else decoding.alpha_mode == "straight"
+    value = samples[..., :1]
+    rgba = np.empty((*samples.shape[:2], 4), np.float32)
+    alpha = rgba[..., 3]
+    with np.errstate(invalid="ignore", over="ignore"):
+        found = _linear(value, decoding.encoding) if by_light else _as_float(value)
+        np.clip(found[..., 0], 0, 1, out=alpha)
+        if samples.shape[2] == 2 and straight:
+            alpha *= np.clip(_as_float(samples[..., 1]), 0, 1)
+        rgba[..., :3] = alpha[..., None] * np.array(tint, np.float32)
     return rgba
 
 

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from .encoding import ALPHA_MODES, color_space
+from .encoding import ALPHA_MODES, color_space, parse_hex_color
 from .errors import SettingError, unknown_name
 from .geometry import Placement, parse_placement
 from .porter_duff import operator
@@ -20,8 +20,10 @@ class LayerSpec:
     `path`: a file, or `-` for stdin. `op`: an operator's name. `opacity`: 0 to 1.
     `at`: `+X+Y`, or a gravity with an optional offset: where the display window goes.
     `alpha`: one of `encoding.ALPHA_MODES`. `colorspace`: a name of `encoding.COLOR_SPACES`.
-    `part`: name or index in a multi-part EXR. `layer`: the prefix of layered channel names.
-    `name`: what reports and errors call it. Errors: `SettingError`.
+    `tint`: a CSS hex colour for a grey or single-channel mask, whose stored values are the alpha.
+    `part`: name or index in a multi-part EXR. `layer`: the prefix of layered channel names, of a
+    mask also the name of a channel. `name`: what reports and errors call it.
+    Errors: `SettingError`.
     """
 
     path: str
@@ -30,6 +32,7 @@ class LayerSpec:
     at: str | None = None
     alpha: str | None = None
     colorspace: str | None = None
+    tint: str | None = None
     part: str | None = None
     layer: str | None = None
     name: str | None = None
@@ -43,6 +46,14 @@ class LayerSpec:
             raise unknown_name("alpha", self.alpha, ALPHA_MODES)
         if self.colorspace is not None:
             color_space(self.colorspace)
+        if self.tint is not None:
+            parse_hex_color(self.tint)
+            if self.colorspace is not None and self.alpha != "luminance":
+                raise SettingError(
+                    "a mask with a tint says how much it covers, not how bright it is, so "
+                    f"colorspace={self.colorspace} changes nothing: leave it out, or add "
+                    "alpha=luminance"
+                )
         _ = self.placement
 
     @property
@@ -74,6 +85,7 @@ LAYER_KEYS: dict[str, Callable[[str], Any]] = {
     "at": str,
     "alpha": str,
     "colorspace": str,
+    "tint": str,
     "part": str,
     "layer": str,
     "name": str,

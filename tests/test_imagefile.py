@@ -798,7 +798,11 @@ def test_exr_primaries_are_converted(exr, name, attribute):
 def test_exr_colorspace_key_overrides_the_file(exr):
     channels = exrfile.planes("RGBA", 9, 8, np.float32)
     expected = exrfile.layer(channels)
-    path = exr(channels, chromaticities=exrfile.PRIMARIES["rec2020"])
+    path = exr(
+        channels,
+        chromaticities=exrfile.PRIMARIES["rec2020"],
+        colorInteropID="lin_rec2020_scene",
+    )
     assert np.array_equal(pixels(path, colorspace="linear"), expected)
     acescg = expected.copy()
     acescg[..., :3] = acescg[..., :3] @ matrix("ap1").T

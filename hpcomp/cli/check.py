@@ -82,10 +82,10 @@ def command(
 ) -> None:
     """Fail if a picture has lost the hues of its layers.
 
-    IMAGE is the picture, LAYER and the options are those that `hpcomp stack` made it with; instead
-    of layers, --hues lists what is allowed. At least one of --max-foreign, --max-grey and
-    --require-hue is needed. The exit code is 6 if a rule does not hold, with a line on stderr
-    for each that does not.
+    IMAGE is the picture, LAYER, with keys such as opacity and tint, and the options are those that
+    `hpcomp stack` made it with; instead of layers, --hues lists what is allowed. At least one of
+    --max-foreign, --max-grey and --require-hue is needed. The exit code is 6 if a rule does not
+    hold, with a line on stderr for each that does not.
 
     A hue is foreign if it is farther than the tolerance from that of every layer that contributes
     to that very pixel. What the file's own samples leave uncertain is allowed for: half a code

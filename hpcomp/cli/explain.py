@@ -44,15 +44,17 @@ SHORT_HELP = "Say step by step how one pixel of a stack comes about."
 def command(layers: tuple[str, ...], at: str, format: str, **options: Any) -> None:
     """Say step by step how one pixel of a stack comes about.
 
-    LAYER and the options are those of `hpcomp stack`, and the result is what it would write.
-    For each layer: the stored sample, its linear colour, what opacity and operators leave of it,
-    its hue and chroma. Then who met whom in the blend order, how far apart their hues are and which
-    one dominated; the result, the traditional one beside it, and what became of the labels.
-    Chroma is |p|, the distance from the grey axis. Grey is the share of chroma that is cancelled,
-    margin how far the runner-up of another hue was from the layer whose hue survived.
+    LAYER, with keys such as opacity and tint, and the options are those of `hpcomp stack`, and the
+    result is what it would write. For each layer: the stored sample, its linear colour, what
+    opacity and operators leave of it, its hue and chroma. Then who met whom in the blend order, how
+    far apart their hues are and which one dominated; the result, the traditional one beside it, and
+    what became of the labels. Chroma is |p|, the distance from the grey axis. Grey is the share of
+    chroma that is cancelled, margin how far the runner-up of another hue was from the layer whose
+    hue survived.
 
     \b
       hpcomp explain base.png 'roads.png::opacity=0.6' --at 30,20
+      hpcomp explain base.png 'roads.png::opacity=0.6' 'mask.png::tint=#377eb8' --at 30,20
       hpcomp explain base.png 'roads.png::opacity=0.6' --at 30,20 --order top-down --format json
     """
     explanation, report = load("hpcomp.explanation"), load("hpcomp.report.explanation")

@@ -25,6 +25,7 @@ argument is an existing file; a value holds no comma. Keys: {", ".join(LAYER_KEY
   at=PLACE         +X+Y, or a gravity: center, north-west, south+0-10 …
   alpha=MODE       straight, premultiplied, premultiplied-encoded, luminance
   colorspace=NAME  overrides what the file says: srgb, linear, acescg …
+  tint=#RRGGBB     colours a grey mask, whose stored values become the alpha
   part=NAME        a part of a multi-part EXR, by name or index
   layer=NAME       channels NAME.R, NAME.G, NAME.B, NAME.A of an EXR
   name=TEXT        what messages call the layer
@@ -32,6 +33,7 @@ argument is an existing file; a value holds no comma. Keys: {", ".join(LAYER_KEY
 \b
   hpcomp stack base.png 'roads.png::opacity=0.6' rivers.exr -o map.png
   hpcomp stack base.png 'mask.png::op=dst-in,alpha=luminance' -o cut.exr
+  hpcomp stack base.png 'mask.png::tint=#377eb8,opacity=0.6' -o map.png
   hpcomp stack base.png roads.png -o map.png --report map.html --provenance origin.exr
   cat a.png | hpcomp stack b.exr - -o - --format png > c.png
 """

@@ -118,13 +118,34 @@ def color_groups(channels: Sequence[Channel]) -> tuple[ColorGroup, ...]:
     return tuple(groups)
 
 
+def _masks(part: Part, layer: str | None) -> list[ColorGroup]:
+    """Channels that make no colour, but may be a mask: the one named, an alpha, or the only one."""
+    if layer is not None:
+        found = [c for c in part.channels if c.name == layer]
+        found = found or [c for c in part.channels if _is_alpha(c, f"{layer}.")]
+    else:
+        found = [c for c in part.channels if _is_alpha(c, "")] or list(part.channels)
+    return [ColorGroup(layer or "", (found[0],), None)] if len(found) == 1 else []
+
+
+def _is_alpha(channel: Channel, prefix: str) -> bool:
+    component = channel.name.removeprefix(prefix)
+    return channel.name.startswith(prefix) and _COMPONENTS.get(component.lower()) == "A"
+
+
 def choose(
-    file: ImageFile, *, part: str | None = None, layer: str | None = None, label: str | None = None
+    file: ImageFile,
+    *,
+    part: str | None = None,
+    layer: str | None = None,
+    mask: bool = False,
+    label: str | None = None,
 ) -> tuple[Part, ColorGroup]:
     """The one colour that `part` (name or index) and `layer` name, or the only one there is.
 
-    Without `layer` the default RGBA goes before named layers. Errors: `InputError` that lists what
-    there is, for an unknown part or layer, for none, and for more than one.
+    Without `layer` the default RGBA goes before named layers. Where a `mask` is wanted and there is
+    no such colour, an alpha or a single channel will do; `layer` may be its name. Errors:
+    `InputError` that lists what there is, for an unknown part or layer, for none, and for several.
     """
     label = label or file.path
     parts = list(file.parts)
@@ -141,11 +162,15 @@ def choose(
     colors = [(p, group) for p in flat for group in p.groups]
     if layer is not None:
         named = [(p, g) for p, g in colors if g.layer == layer]
+        if mask and not named:
+            named = [(p, g) for p in flat for g in _masks(p, layer)]
         if not named:
             there_is = ", ".join(dict.fromkeys(g.layer or "(default)" for _, g in colors)) or "none"
             raise InputError(f"{label}: there is no colour layer '{layer}': there is {there_is}")
     else:
         named = [(p, g) for p, g in colors if not g.layer] or colors
+        if mask and not named:
+            named = [(p, g) for p in flat for g in _masks(p, None)]
     if not named:
         channels = ", ".join(c.name for p in flat for c in p.channels)
         raise InputError(f"{label} has no colour, only {channels}: R, G, B or Y is needed")

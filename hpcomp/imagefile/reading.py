@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..encoding import color_space
+from ..encoding import color_space, parse_hex_color
 from ..errors import InputError, MismatchError, unknown_name
 from ..geometry import Window
 from ..samples import Decoding, Rgba, Samples, Strip, linear_rgba
@@ -23,7 +23,8 @@ class LayerReader:
     """One layer of a file, read in strips of rows.
 
     `alpha` is one of `encoding.ALPHA_MODES` or None for the format's own; `colorspace` a name of
-    `encoding.COLOR_SPACES` or None for what the file says; `nonfinite` a policy on NaN and Inf:
+    `encoding.COLOR_SPACES` or None for what the file says; `tint` a CSS hex colour for a mask, or
+    None; `nonfinite` a policy on NaN and Inf:
     `error`, `zero` (such a pixel becomes transparent black), `keep`. `label` names it in errors.
     Errors: `SettingError`, `InputError` for colours that cannot be read.
     """
@@ -36,6 +37,7 @@ class LayerReader:
         *,
         alpha: str | None = None,
         colorspace: str | None = None,
+        tint: str | None = None,
         nonfinite: str = "error",
         label: str | None = None,
     ) -> None:
@@ -43,9 +45,11 @@ class LayerReader:
             raise unknown_name("nonfinite policy", nonfinite, NONFINITE_POLICIES)
         self.file, self.part, self.group = file, part, group
         self.label = label or file.path
-        if part.refusal and not colorspace:
+        # The values of a mask are no light, unless that is asked for.
+        believed = not colorspace and (tint is None or alpha == "luminance")
+        if part.refusal and believed:
             raise InputError(f"{self.label}: {part.refusal}")
-        self.problems = () if colorspace else part.problems
+        self.problems = part.problems if believed else ()
         self.nonfinite = nonfinite
         self.zeroed_pixels = 0
         self.decoding = Decoding(
@@ -53,6 +57,7 @@ class LayerReader:
             alpha or file.alpha_mode,
             stored_straight=file.alpha_mode == "straight",
             zero_nonfinite=nonfinite == "zero",
+            tint=None if tint is None else parse_hex_color(tint),
         )
         channels = (*group.color, *([group.alpha] if group.alpha else []))
         self._source = source_of(file, part, channels, self.label)
@@ -64,7 +69,11 @@ class LayerReader:
 
     @property
     def has_alpha(self) -> bool:
-        return self.group.alpha is not None or self.decoding.alpha_mode == "luminance"
+        return (
+            self.group.alpha is not None
+            or self.decoding.alpha_mode == "luminance"
+            or self.decoding.tint is not None
+        )
 
     @property
     def by_openimageio(self) -> bool:
@@ -104,9 +113,30 @@ class LayerReader:
         """Rows `begin` to `end` of the data window as stored, in the file's coordinates.
 
         Returns (rows, width, channels): Y, YA, RGB or RGBA; uint8 and uint16 of PNG, float16 and
-        float32 of EXR, its uint channels as floats of the same value. Errors: `InputError`.
+        float32 of EXR, its uint channels as floats of the same value; of a mask Y or YA.
+        Errors: `InputError`; `MismatchError` for a mask that is not grey.
         """
-        return self._source.read(begin, end)
+        samples = self._source.read(begin, end)
+        if self.decoding.tint is None or samples.shape[2] < 3:
+            return samples
+        return self._grey(samples, begin)
+
+    def _grey(self, samples: Samples, begin: int) -> Samples:
+        """Y or YA of RGB or RGBA whose colours are grey: any channel, and NaN if one is."""
+        red, green, blue = np.moveaxis(samples[..., :3], -1, 0)
+        colored = (red != green) | (red != blue)
+        if samples.dtype.kind == "f":
+            with np.errstate(invalid="ignore"):
+                red = red + 0 * green + 0 * blue
+            colored &= np.isfinite(red)
+        if colored.any():
+            row, column = np.argwhere(colored)[0]
+            raise MismatchError(
+                f"{self.label}: tint= is for grey masks, and pixel "
+                f"{self.window.x + column},{begin + row} has a colour of its own: leave tint= out, "
+                "or make a grey mask of the file first"
+            )
+        return np.concatenate([red[..., None], samples[..., 3:]], axis=2)
 
     def read_rows(self, begin: int, end: int) -> Rgba:
         """The same rows as linear, premultiplied RGBA (rows, width, 4).
