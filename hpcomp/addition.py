@@ -1,7 +1,8 @@
-"""How the chroma of colours is added: the hue-preserving ⊕, and the traditional +.
+"""How the chroma of colours is added: the hue-preserving ⊕, and what it is compared with.
 
 Luminances always add [R1]; here are only the chroma vectors `p` (2, …), planes first, in any
-blending space. Every angle is between p vectors.
+blending space. Every angle is between p vectors. The first of two vectors is that of the colour in
+front, which only `foremost` asks.
 Chuang, Weiskopf, Möller: Hue-Preserving Color Blending, 2009; R1–R3 are its requirements.
 """
 
@@ -10,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import reduce
 from typing import Any
 
 import numpy as np
@@ -39,6 +41,13 @@ def check_hue_tolerance(degrees: float) -> float:
             f"hue tolerance {degrees:g} is outside 0 to {MAX_HUE_TOLERANCE:g} degrees"
         )
     return float(degrees)
+
+
+def check_gray_bias(bias: float) -> float:
+    """The bias as a float; `SettingError` outside [0, 1]."""
+    if not 0 <= bias <= 1:
+        raise SettingError(f"gray bias {bias:g} is outside 0 to 1")
+    return float(bias)
 
 
 def chroma(p: Array) -> Array:
@@ -76,27 +85,47 @@ def shoulder(p1: Array, p2: Array, hue_tolerance: float) -> Array:
     return e
 
 
-def add_hue_preserving(p1: Array, p2: Array, hue_tolerance: float) -> Array:
+def _biased(share: Array, gray_bias: float) -> Array:
+    """What a bias b against grey makes of the share (…), in [0, 1], that a rival cancels."""
+    return share ** (1 + 3 * gray_bias) if gray_bias else share
+
+
+def add_hue_preserving(p1: Array, p2: Array, hue_tolerance: float, gray_bias: float = 0.0) -> Array:
     """⊕ of two chroma vectors (2, …): the hue of the stronger one survives.
 
+    The weaker one cancels its own length of it, or less with a bias against grey in [0, 1].
     Chuang et al. 2009, Algorithm 1 in closed form; opposite colours are never formed, so nothing
     leaves the gamut on the way.
     """
     m1, m2 = chroma(p1), chroma(p2)
     p_big = np.where(m1 >= m2, p1, p2)
     m_big, m_small = np.maximum(m1, m2), np.minimum(m1, m2)
-    p_differ = _ratio(m_big - m_small, m_big) * p_big  # [R2][R3]
+    kept = _ratio(m_big - m_small, m_big)
+    if gray_bias:
+        kept = 1 - _biased(_ratio(m_small, m_big), gray_bias)
+    p_differ = kept * p_big  # [R2][R3]
     p_equal = p1 + p2
     e = shoulder(p1, p2, hue_tolerance)
     return p_differ + e * (p_equal - p_differ)  # [D3]
 
 
-def add_traditional(p1: Array, p2: Array, hue_tolerance: float) -> Array:
-    """Plain + of two chroma vectors (2, …); the tolerance has no part in it."""
+def add_traditional(p1: Array, p2: Array, hue_tolerance: float, gray_bias: float = 0.0) -> Array:
+    """Plain + of two chroma vectors (2, …); tolerance and bias have no part in it."""
     return p1 + p2
 
 
-def sum_simultaneous(p: Array, hue_tolerance: float) -> Array:
+def add_foremost(
+    front: Array, behind: Array, hue_tolerance: float, gray_bias: float = 0.0
+) -> Array:
+    """The chroma (2, …) in front, or what is behind where there is none in front.
+
+    A baseline: what Chuang et al. 2009, section 7, say of Wang et al. 2008. Not continuous: the
+    least chroma in front decides. Tolerance and bias have no part in it.
+    """
+    return np.where((front != 0).any(axis=0), front, behind)
+
+
+def sum_simultaneous(p: Array, hue_tolerance: float, gray_bias: float = 0.0) -> Array:
     """⊕ of many chroma vectors at once, p (n, 2, …) → (2, …), whatever their order.
 
     Each term is scaled down by its strongest rival of another hue. Terms without chroma drop out
@@ -113,22 +142,22 @@ def sum_simultaneous(p: Array, hue_tolerance: float) -> Array:
         # The pair tables hold count² values a pixel: short runs keep them in cache.
         for run in np.array_split(pixels, max(1, len(pixels) * count**2 >> 18)):
             terms = flat[first[:count, run][:, None], np.arange(2)[None, :, None], run]
-            total[:, run] = _rivals_scaled_sum(terms, hue_tolerance)
+            total[:, run] = _rivals_scaled_sum(terms, hue_tolerance, gray_bias)
     return total.reshape(2, *shape)
 
 
-def _rivals_scaled_sum(p: Array, hue_tolerance: float) -> Array:
+def _rivals_scaled_sum(p: Array, hue_tolerance: float, gray_bias: float) -> Array:
     """The simultaneous rule for p (n, 2, pixels), every |p| > 0."""
     if len(p) == 1:
         return p[0]
-    s = 1 - rivalry(p, hue_tolerance).max(axis=1)
+    s = 1 - rivalry(p, hue_tolerance, gray_bias).max(axis=1)
     total = np.zeros_like(p[0])
     for scale, term in zip(s, p, strict=True):
         total += scale * term
     return total
 
 
-def rivalry(p: Array, hue_tolerance: float) -> Array:
+def rivalry(p: Array, hue_tolerance: float, gray_bias: float = 0.0) -> Array:
     """(n, n, pixels): what share of term i its rival j would cancel; p (n, 2, pixels), |p| > 0."""
     n = len(p)
     m = chroma(p.swapaxes(0, 1))
@@ -145,10 +174,10 @@ def rivalry(p: Array, hue_tolerance: float) -> Array:
         near += np.minimum(m, m[k])
     rival = np.minimum(support.swapaxes(0, 1), near[None, :])
     q = _ratio(np.minimum(rival, support), support)  # min(1, q) of the text
-    return (1 - e) * q
+    return (1 - e) * _biased(q, gray_bias)
 
 
-def sum_traditional(p: Array, hue_tolerance: float) -> Array:
+def sum_traditional(p: Array, hue_tolerance: float, gray_bias: float = 0.0) -> Array:
     """Plain sum of many chroma vectors, p (n, 2, …) → (2, …)."""
     total = np.zeros_like(p[0])
     for term in p:
@@ -156,14 +185,24 @@ def sum_traditional(p: Array, hue_tolerance: float) -> Array:
     return total
 
 
+def sum_foremost(p: Array, hue_tolerance: float, gray_bias: float = 0.0) -> Array:
+    """The first of many chroma vectors that is not 0, from the front, p (n, 2, …) → (2, …)."""
+    return reduce(lambda front, behind: add_foremost(front, behind, hue_tolerance), p)
+
+
 @dataclass(frozen=True)
 class Blending:
-    """One row of the table: how two chroma vectors add, and how many do at once."""
+    """One row of the table: how two chroma vectors add, and how many do at once.
+
+    Both take a hue tolerance in degrees and a bias against grey. `depends_on_order`: whether the
+    blend order matters; `depends_on_depth`: whether it matters who is in front, who is given first.
+    """
 
     name: str
-    add: Callable[[Array, Array, float], Array]
-    add_all: Callable[[Array, float], Array]
+    add: Callable[[Array, Array, float, float], Array]
+    add_all: Callable[[Array, float, float], Array]
     depends_on_order: bool
+    depends_on_depth: bool = False
 
 
 BLENDINGS: dict[str, Blending] = {
@@ -171,6 +210,9 @@ BLENDINGS: dict[str, Blending] = {
     for row in (
         Blending("hue-preserving", add_hue_preserving, sum_simultaneous, depends_on_order=True),
         Blending("traditional", add_traditional, sum_traditional, depends_on_order=False),
+        Blending(
+            "foremost", add_foremost, sum_foremost, depends_on_order=False, depends_on_depth=True
+        ),
     )
 }
 

@@ -29,10 +29,11 @@ def composite(layers: Sequence[ArrayLike], **rules: Any) -> Array:
     `rules`, each with its default:
       `op` "over": one operator for the layers above the bottom, or one for each layer, None first;
       `opacity` 1.0: one for all layers or one for each, in [0, 1];
-      `blending` "hue-preserving", or "traditional";
+      `blending` "hue-preserving", "traditional", or "foremost";
       `order` "bottom-up", "top-down", "balanced", "simultaneous", "2,0,1" or a sequence of ints;
       `space` "linear-rgb", "xyz", "hsl", "oklab" or "cielab";
       `hue_tolerance` 2.0, degrees between p vectors;
+      `gray_bias` 0.0: how much less than in the paper hues cancel each other, in [0, 1];
       `background` None, or straight linear RGB put under the result;
       `exposure` 0.0: stops, applied to the colour of the result.
     Returns: (…, 4), linear, premultiplied RGBA, alpha in [0, 1].
@@ -70,12 +71,14 @@ def hue_add(
     c2: ArrayLike,
     *,
     hue_tolerance: float = DEFAULT_HUE_TOLERANCE,
+    gray_bias: float = 0.0,
     space: str = "linear-rgb",
 ) -> Array:
     """The hue-preserving sum c1 ⊕ c2 of two premultiplied colours.
 
     `c1`, `c2`: (…, 3), linear RGB, unbounded; broadcast against each other.
     `hue_tolerance`: degrees between p vectors, 0 for the paper's operator.
+    `gray_bias`: how much less than in the paper different hues cancel each other, in [0, 1].
     `space`: a name of `SPACES`, in which hue and chroma are measured.
     Returns: (…, 3), linear RGB. float64 if either is, else float32. Where ⊕ leaves the gamut, as it
       may in hsl, oklab and cielab, every channel is brought within the sums of the largest and of
@@ -84,6 +87,7 @@ def hue_add(
     Source: Chuang et al. 2009, Algorithm 1.
     """
     tolerance, blending_space = addition.check_hue_tolerance(hue_tolerance), spaces.space(space)
+    bias = addition.check_gray_bias(gray_bias)
     a, b = np.broadcast_arrays(np.asarray(c1), np.asarray(c2))
     if a.ndim == 0 or a.shape[-1] != 3:
         raise MismatchError(f"colours of shape {a.shape}: RGB needs 3 components on the last axis")
@@ -91,7 +95,7 @@ def hue_add(
     first, second = (c.reshape(-1, 3).T.astype(dtype) for c in (a, b))
     y1, p1 = blending_space.forward(first)
     y2, p2 = blending_space.forward(second)
-    p = addition.add_hue_preserving(p1, p2, tolerance)
+    p = addition.add_hue_preserving(p1, p2, tolerance, bias)
     bounds = gamut.bounds_of(blending_space, first) + gamut.bounds_of(blending_space, second)
     rgb = gamut.colors_within(blending_space, y1 + y2, p, bounds)  # Eq. 1
     return rgb.T.reshape(a.shape)

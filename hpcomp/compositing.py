@@ -46,16 +46,33 @@ class StackRules:
     order: orders.Order
     space: spaces.Space
     hue_tolerance: float
+    gray_bias: float
     background: tuple[float, ...] | None
     exposure: float
 
-    def add(self, p1: Array, p2: Array) -> Array:
-        """p1 ⊕ p2, or + where the blending is traditional; (2, …)."""
-        return self.blending.add(p1, p2, self.hue_tolerance)
+    def add(self, front: Array, behind: Array) -> Array:
+        """⊕ of two p (2, …), or what else the blending is; only `foremost` asks who is in front."""
+        return self.blending.add(front, behind, self.hue_tolerance, self.gray_bias)
 
     def add_all(self, terms: Array) -> Array:
         """All of p (n, 2, …) at once → (2, …)."""
-        return self.blending.add_all(terms, self.hue_tolerance)
+        return self.blending.add_all(terms, self.hue_tolerance, self.gray_bias)
+
+    @property
+    def depth(self) -> tuple[int, ...]:
+        """The layers' numbers from front to back, as their operators put them there."""
+        found: tuple[int, ...] = ()
+        for number, row in enumerate(self.operators):
+            front, behind = ((number,), found) if row is None else row.front_first((number,), found)
+            found = front + behind
+        return found
+
+    @property
+    def adding_order(self) -> orders.Order:
+        """The order in which terms, bottom first, are added: the stack's, or from the front."""
+        if self.blending.depends_on_depth:
+            return orders.order(self.depth, len(self.operators))
+        return self.order
 
     @property
     def blending_space(self) -> spaces.Space:
@@ -91,6 +108,7 @@ def stack_rules(
     order: str | Sequence[int] = "bottom-up",
     space: str = "linear-rgb",
     hue_tolerance: float = DEFAULT_HUE_TOLERANCE,
+    gray_bias: float = 0.0,
     background: Sequence[float] | None = None,
     exposure: float = 0.0,
 ) -> StackRules:
@@ -123,6 +141,7 @@ def stack_rules(
         order=orders.order(order, n_layers),
         space=spaces.space(space),
         hue_tolerance=addition.check_hue_tolerance(hue_tolerance),
+        gray_bias=addition.check_gray_bias(gray_bias),
         background=None if background is None else tuple(float(v) for v in background),
         exposure=float(exposure),
     )

@@ -84,7 +84,8 @@ class Meeting:
     The background is None among them. `chroma_first`, `chroma_second`: |p| before. `angle`:
     degrees between them, None where one has no hue. `equality`: e of the shoulder, 1 for equal
     hues and 0 for different ones, None where hues are not looked at. `dominant`: 1 or 2, None
-    where neither is or their hues are equal. `chroma`, `hue`: of what comes of it.
+    where neither is or their hues are equal; with `foremost` the one in front. `chroma`, `hue`: of
+    what comes of it.
     """
 
     first: tuple[int | None, ...]
@@ -171,6 +172,7 @@ def explain(
     order: str | Sequence[int] = "bottom-up",
     space: str = "linear-rgb",
     hue_tolerance: float = DEFAULT_HUE_TOLERANCE,
+    gray_bias: float = 0.0,
     foreign_tolerance: float | None = None,
     exposure: float = 0.0,
     canvas: str | Window = "bottom",
@@ -189,7 +191,9 @@ def explain(
     Warnings: `HpcompWarning`; errors with `strict`.
     """
     specs = layer_specs(layers)
-    rules = rules_of(specs, op, blending, order, space, hue_tolerance, background, exposure)
+    rules = rules_of(
+        specs, op, blending, order, space, hue_tolerance, background, exposure, gray_bias=gray_bias
+    )
     settings = measure_settings(
         rules,
         half_step=HALF_STEP_FINE,
@@ -347,7 +351,7 @@ class _Trace:
         terms: Any = parties[: found.n_layers]
         add: Any = self._meet
         add_all: Any = self._meet_all
-        stack: Any = self.rules.order.reduce(terms, add, add_all)
+        stack: Any = self.rules.adding_order.reduce(terms, add, add_all)
         if found.n_layers < len(parties):
             self._meet(stack, replace(parties[-1], numbers=(None,)))
 
@@ -369,6 +373,8 @@ class _Trace:
             equality = float(shoulder(a.p, b.p, rules.hue_tolerance)[0])
             if equality < 1 and _size(a.p) != _size(b.p):
                 dominant = 1 if _size(a.p) > _size(b.p) else 2
+        elif rules.blending.depends_on_depth and angle is not None:
+            dominant = 1
         self.meetings.append(
             Meeting(
                 first=a.numbers,
@@ -396,7 +402,8 @@ class _Trace:
     def _note_rivals(self, with_hue: Sequence[int], p: Array) -> None:
         if not with_hue:
             return
-        cancelled = rivalry(p[list(with_hue)], self.rules.hue_tolerance)[:, :, 0]
+        rules = self.rules
+        cancelled = rivalry(p[list(with_hue)], rules.hue_tolerance, rules.gray_bias)[:, :, 0]
         for number, shares in zip(with_hue, cancelled, strict=True):
             rival = with_hue[int(shares.argmax())] if shares.max() > 0 else None
             self.rivalries.append(

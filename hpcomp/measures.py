@@ -234,7 +234,8 @@ class Provenance:
     largest |t| among those within the foreign tolerance of the result. `grey`: 1 − |p| / Σ|t|, the
     share of chroma that is cancelled. `margin`: 1 − runner-up / winner, the runner-up being the
     largest |t| of another hue than the winner's, 0 where there is none: so 1 is unrivalled, and
-    below 0 a stronger term was cancelled by others before it met the winner. 0 without a winner.
+    below 0 a stronger term was cancelled by others before it met the winner, or lay behind it. 0
+    without a winner.
     """
 
     layer: NDArray[np.uint32]
@@ -336,7 +337,7 @@ class Contributors:
         """The chroma p (2, pixels) of the stack, in its own or another order."""
         if rules.blending_space is not rules.space:
             return self.plain(rules)
-        row = rules.order if order is None else ORDERS[order]
+        row = rules.adding_order if order is None else ORDERS[order]
         p = row.reduce(self.p[: self.n_layers], rules.add, rules.add_all)
         if self.n_layers < len(self.p):
             p = rules.add(p, self.p[-1])

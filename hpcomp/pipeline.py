@@ -70,6 +70,7 @@ def stack(
     order: str | Sequence[int] = "bottom-up",
     space: str = "linear-rgb",
     hue_tolerance: float = DEFAULT_HUE_TOLERANCE,
+    gray_bias: float = 0.0,
     depth: str | int | None = None,
     compression: str | int | None = None,
     exposure: float = 0.0,
@@ -107,7 +108,9 @@ def stack(
     """
     specs = layer_specs(layers)
     output = os.fspath(output)
-    rules = rules_of(specs, op, blending, order, space, hue_tolerance, background, exposure)
+    rules = rules_of(
+        specs, op, blending, order, space, hue_tolerance, background, exposure, gray_bias=gray_bias
+    )
     form = OutputForm.checked(format_of_output(output, format), depth, compression)
     if overscan and form.format == "png":
         raise SettingError("a PNG ends at its canvas: --overscan needs an EXR output")
@@ -225,6 +228,7 @@ def _settings_in_words(
         "order": rules.order.name,
         "space": rules.space.name,
         "hue tolerance": f"{rules.hue_tolerance:g}°",
+        "gray bias": f"{rules.gray_bias:g}",
         "background": "none" if background is None else str(background),
         "exposure": f"{rules.exposure:g} stops, left out of all measures",
         "canvas": str(canvas),

@@ -82,6 +82,8 @@ def rules_of(
     hue_tolerance: float,
     background: str | Sequence[float] | None,
     exposure: float,
+    *,
+    gray_bias: float = 0.0,
 ) -> StackRules:
     """The rules of a stack of these layers, whose own settings go first. Errors: `SettingError`."""
     return stack_rules(
@@ -92,6 +94,7 @@ def rules_of(
         order=order,
         space=space,
         hue_tolerance=hue_tolerance,
+        gray_bias=gray_bias,
         background=parse_hex_color(background) if isinstance(background, str) else background,
         exposure=exposure,
     )

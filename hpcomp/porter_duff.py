@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from .errors import unknown_name
 
 Alpha = NDArray[np.floating[Any]]
+T = TypeVar("T")
 
 
 class Factor(IntEnum):
@@ -40,19 +41,22 @@ class Factor(IntEnum):
 
 
 _ZERO, _ONE, _ALPHA, _REST = Factor
+_BEHIND = True
 
 
 @dataclass(frozen=True)
 class Operator:
-    """One row of the table: a name, its aliases, and the two factors.
+    """One row of the table: a name, its aliases, the two factors, and who is in front.
 
-    `factor_a` is a function of the alpha below, `factor_b` of the layer's own alpha.
+    `factor_a` is a function of the alpha below, `factor_b` of the layer's own alpha. `behind`: the
+    layer is put behind all that is there, not in front of it.
     """
 
     name: str
     aliases: tuple[str, ...]
     factor_a: Factor
     factor_b: Factor
+    behind: bool = False
 
     def factors(
         self, alpha_a: ArrayLike, alpha_b: ArrayLike
@@ -67,6 +71,10 @@ class Operator:
         # Only `plus` can pass 1 by more than rounding: W3C Compositing clamps it there.
         return np.minimum(f_a * alpha_a + f_b * alpha_b, alpha_a.dtype.type(1))
 
+    def front_first(self, layer: T, stack: T) -> tuple[T, T]:
+        """Something of the layer and of the stack, that of the one in front first."""
+        return (stack, layer) if self.behind else (layer, stack)
+
     @property
     def needs_alpha(self) -> bool:
         """Whether the operator does nothing useful with a layer that is opaque everywhere."""
@@ -76,18 +84,18 @@ class Operator:
 OPERATORS: dict[str, Operator] = {
     row.name: row
     for row in (
-        #        name        aliases            F_A     F_B
+        #        name        aliases            F_A     F_B     depth
         Operator("clear",    (),                _ZERO,  _ZERO),
         Operator("src",      ("copy",),         _ONE,   _ZERO),
         Operator("dst",      (),                _ZERO,  _ONE),
         Operator("over",     ("src-over",),     _ONE,   _REST),
-        Operator("dst-over", ("under",),        _REST,  _ONE),
+        Operator("dst-over", ("under",),        _REST,  _ONE,   _BEHIND),
         Operator("in",       ("src-in",),       _ALPHA, _ZERO),
         Operator("dst-in",   ("mask",),         _ZERO,  _ALPHA),
         Operator("out",      ("src-out",),      _REST,  _ZERO),
         Operator("dst-out",  ("stencil",),      _ZERO,  _REST),
         Operator("atop",     ("src-atop",),     _ALPHA, _REST),
-        Operator("dst-atop", (),                _REST,  _ALPHA),
+        Operator("dst-atop", (),                _REST,  _ALPHA, _BEHIND),
         Operator("xor",      (),                _REST,  _REST),
         Operator("plus",     ("add", "lighter"), _ONE,  _ONE),
     )

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from .addition import BLENDINGS
 from .compositing import Reduction, StackRules
 from .encoding import Losses
 from .gamut import bounds_of, colors_within
@@ -25,6 +26,8 @@ NAME = "reference"
 DECODES_IN_NUMPY = True
 #: Where its `findings` are, with all that they import.
 MEASURING = "hpcomp.findings"
+#: The blendings that those know.
+MEASURED_BLENDINGS = tuple(BLENDINGS)
 
 #: Pixels that are composited at a time, so that a few planes of them stay in the L2 cache.
 BLOCK_PIXELS = 16_384
@@ -91,7 +94,8 @@ class BottomUp(_Accumulator):
                 alpha_below = self.alpha[block]
                 f_a, f_b = operator.factors(alpha, alpha_below)
                 luminance = f_a * luminance + f_b * self.luminance[block]  # [R1]
-                p = self.rules.add(f_a * p, f_b * self.p[:, block])  # Eq. 2 with ⊕
+                front_first = operator.front_first(f_a * p, f_b * self.p[:, block])
+                p = self.rules.add(*front_first)  # Eq. 2 with ⊕
                 bounds = f_a * bounds + f_b * self.bounds[:, block]
                 alpha = operator.alpha(alpha, alpha_below)
             self.luminance[block], self.p[:, block], self.alpha[block] = luminance, p, alpha
@@ -145,7 +149,7 @@ class AllLayers(_Accumulator):
         luminance = np.zeros_like(terms.alpha)
         for luminance_layer in terms.luminance:
             luminance += luminance_layer  # [R1]
-        p = rules.order.reduce(terms.p, rules.add, rules.add_all)
+        p = rules.adding_order.reduce(terms.p, rules.add, rules.add_all)
         return _result(rules, luminance, p, terms.bounds, terms.alpha)
 
 

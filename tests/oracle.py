@@ -318,7 +318,9 @@ def within(c, lo, hi):
 
 
 def disguised(space, c):
-    """The colour of linear RGB that ⊕ takes for c in that space."""
+    """The colour of linear RGB that ⊕ takes for c in that space; greys are greys exactly."""
+    if c[0] == c[1] == c[2]:
+        return c
     chroma_of, _ = SPACES[space]
     p = chroma_of(c)
     return color(luminance(c), added(scaled(p[0], AXIS_1), scaled(p[1], AXIS_2)))
@@ -385,15 +387,25 @@ def shoulder(theta, hue_tolerance):
     return t * t * (3 - 2 * t)
 
 
-def hue_add(c1, c2, hue_tolerance=2.0):
-    """c1 ⊕ c2 with a tolerance in degrees."""
+def add_biased(c1, c2, gray_bias):
+    """Two colours of different hue: of the stronger one remains 1 − (small/big)^(1 + 3b)."""
+    d_big, d_small = sorted((difference(c1), difference(c2)), key=length, reverse=True)
+    if length(d_small) == 0:
+        return added(c1, c2)
+    cancelled = math.pow(length(d_small) / length(d_big), 1 + 3 * gray_bias)
+    return color(luminance(c1) + luminance(c2), scaled(1 - cancelled, d_big))
+
+
+def hue_add(c1, c2, hue_tolerance=2.0, gray_bias=0.0):
+    """c1 ⊕ c2 with a tolerance in degrees and a bias against grey."""
+    different = add_biased(c1, c2, gray_bias) if gray_bias else add_different_hues(c1, c2)
     if hue_tolerance == 0:
-        return algorithm_1(c1, c2)
+        return added(c1, c2) if equal_hue(c1, c2) else different
     e = shoulder(angle(difference(c1), difference(c2)), hue_tolerance)
-    return added(scaled(e, added(c1, c2)), scaled(1 - e, add_different_hues(c1, c2)))
+    return added(scaled(e, added(c1, c2)), scaled(1 - e, different))
 
 
-def simultaneous(terms, hue_tolerance=2.0):
+def simultaneous(terms, hue_tolerance=2.0, gray_bias=0.0):
     """All terms at once: each is scaled by its strongest rival of another hue."""
     y = math.fsum(luminance(c) for c in terms)
     p = [difference(c) for c in terms if length(difference(c)) > 0]
@@ -418,7 +430,7 @@ def simultaneous(terms, hue_tolerance=2.0):
                 q = 1.0
             else:
                 q = rival / support_i
-            strongest = max(strongest, (1 - e[i][j]) * q)
+            strongest = max(strongest, (1 - e[i][j]) * math.pow(q, 1 + 3 * gray_bias))
         total = added(total, scaled(1 - strongest, p[i]))
     return color(y, total)
 
@@ -490,6 +502,24 @@ def weights(alphas, ops):
     return w, alpha
 
 
+def foremost(terms, ops):
+    """The chroma of the term in front that has any, the luminances of all; ops[0] is not looked at.
+
+    Terms bottom first. `dst-over` and `dst-atop` put theirs behind all others.
+    """
+    from_front = []
+    for i, term in enumerate(terms):
+        if i > 0 and ops[i] in ("dst-over", "under", "dst-atop"):
+            from_front.append(term)
+        else:
+            from_front.insert(0, term)
+    y = math.fsum(luminance(term) for term in terms)
+    for term in from_front:
+        if length(difference(term)) > 0:
+            return color(y, difference(term))
+    return color(y, (0.0, 0.0, 0.0))
+
+
 def plus(c1, c2, hue_tolerance):
     return added(c1, c2)
 
@@ -520,20 +550,32 @@ def composite(
     blending="hue-preserving",
     order="bottom-up",
     hue_tolerance=2.0,
+    gray_bias=0.0,
     background=None,
 ):
     """(R, G, B, alpha) of a stack, bottom first; ops[0] is not looked at.
 
     `bottom-up` nests the operators as they are read, c ← F_A c_i ⊕ F_B c; the other orders reduce
-    the weighted terms. `order` is a name or a sequence of layer numbers.
+    the weighted terms. `order` is a name or a sequence of layer numbers; `foremost` has none.
     """
     n = len(layers)
     ops = ["over"] * n if ops is None else ops
     read = as_read(layers, [1.0] * n if opacities is None else opacities)
     if blending == "hue-preserving":
-        add = hue_add
+
+        def add(c1, c2, hue_tolerance):
+            return hue_add(c1, c2, hue_tolerance, gray_bias)
+
     elif blending == "traditional":
         add = plus
+    elif blending == "foremost":
+        w, alpha = weights([alpha_i for _, alpha_i in read], ops)
+        terms = [scaled(w[i], read[i][0]) for i in range(n)]
+        if background is not None:
+            terms.append(scaled(1 - alpha, background))
+            ops = [*ops, "dst-over"]
+            alpha = alpha + (1 - alpha)
+        return (*foremost(terms, ops), alpha)
     else:
         raise ValueError(blending)
     if order == "bottom-up":
@@ -553,7 +595,7 @@ def composite(
         elif order == "simultaneous" and blending == "traditional":
             c = fold(plus, terms, hue_tolerance)
         elif order == "simultaneous":
-            c = simultaneous(terms, hue_tolerance)
+            c = simultaneous(terms, hue_tolerance, gray_bias)
         elif not isinstance(order, str) and sorted(order) == list(range(n)):
             c = fold(add, [terms[i] for i in order], hue_tolerance)
         else:

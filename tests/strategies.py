@@ -23,11 +23,14 @@ OPERATOR_NAMES = (
     "xor",
     "plus",
 )
-BLENDING_NAMES = ("hue-preserving", "traditional")
+BLENDING_NAMES = ("hue-preserving", "traditional", "foremost")
 ORDER_NAMES = ("bottom-up", "top-down", "balanced", "simultaneous")
 
 #: The default, the paper's 0, and one to either side.
 HUE_TOLERANCES = (2.0, 0.0, 0.5, 10.0)
+
+#: The paper's 0, a little, and the most.
+GRAY_BIASES = (0.0, 0.3, 1.0)
 
 # Two axes at right angles in the plane of the difference vectors, the first towards red.
 _RED_AXIS = oracle.unit(oracle.difference((1.0, 0.0, 0.0)))
@@ -66,6 +69,7 @@ shares = st.one_of(st.sampled_from((0.0, 1.0, 0.5)), st.floats(0, 1))
 alphas = st.one_of(st.sampled_from((0.0, 1.0, 1 / 255)), st.floats(0, 1))
 hues = st.floats(0, 360)
 hue_tolerances = st.sampled_from(HUE_TOLERANCES)
+gray_biases = st.one_of(st.sampled_from(GRAY_BIASES), st.floats(0, 1))
 orders = st.sampled_from(ORDER_NAMES)
 operators = st.sampled_from(OPERATOR_NAMES)
 
@@ -152,5 +156,27 @@ def jobs(draw, tolerances=hue_tolerances, hdr=True):
         "blending": draw(st.sampled_from(BLENDING_NAMES)),
         "order": draw(st.one_of(orders, st.permutations(range(n)))),
         "hue_tolerance": hue_tolerance,
+        "gray_bias": draw(st.sampled_from(GRAY_BIASES)),
         "background": draw(st.one_of(st.none(), st.tuples(shares, shares, shares))),
     }
+
+
+def is_decided(layers, ops, opacities=None, blending="foremost", background=None, **more):
+    """Whether rounding cannot decide who is foremost: no term has next to no chroma.
+
+    Nor does one that 1 − α_B keeps out: α_B of 1 is a little less in another precision.
+    """
+    if blending != "foremost":
+        return True
+    read = oracle.as_read(layers, opacities or [1.0] * len(layers))
+    w, alpha = oracle.weights([a for _, a in read], ops)
+    terms = [oracle.scaled(w_i, c) for w_i, (c, _) in zip(w, read, strict=True)]
+    if background is not None:
+        terms.append(oracle.scaled(1 - alpha, background))
+    below = 0.0
+    for op, (_, alpha_layer) in zip(ops, read, strict=True):
+        if op == "xor" and below > 1 - 1e-6:
+            return False
+        below = alpha_layer if op is None else oracle.alpha_of(op, alpha_layer, below)
+    chromas = [oracle.length(oracle.difference(term)) for term in terms]
+    return all(chroma == 0 or chroma > 1e-5 for chroma in chromas)

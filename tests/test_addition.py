@@ -12,6 +12,7 @@ from strategies import (
     alphas,
     any_pairs,
     color_of,
+    gray_biases,
     hue_direction,
     hue_tolerances,
     hues,
@@ -363,14 +364,14 @@ class TestContinuity:
     """[D3]: small changes of the inputs are small changes of the result."""
 
     @staticmethod
-    def slope(hue_tolerance):
+    def slope(hue_tolerance, gray_bias=0.0):
         """How much ⊕ can turn a change of one input into.
 
-        Sum and difference have slope 1 in p and Y; they differ by up to 2|p_small|, of which the
-        shoulder mixes 1.5/τ a radian, and a radian is at least |p_small| of change. Of Y the
-        colour has √3 at most.
+        The sum has slope 1 in p and Y, the difference 1 + 3b; they differ by up to 2|p_small|, of
+        which the shoulder mixes 1.5/τ a radian, and a radian is at least |p_small| of change. Of Y
+        the colour has √3 at most.
         """
-        return 1 + 3 / math.radians(hue_tolerance) + math.sqrt(3)
+        return 1 + 3 * gray_bias + 3 / math.radians(hue_tolerance) + math.sqrt(3)
 
     @given(
         pair=valid_pairs(),
@@ -430,6 +431,155 @@ class TestContinuity:
             assert_near(hue_add(c, tiny, hue_tolerance=hue_tolerance), c, FLOAT64)
 
 
+class TestGrayBias:
+    """§1.7: hues cancel (small/big)^(1 + 3b) of the stronger one; at b = 0 ⊕ is the paper's."""
+
+    @given(pair=any_pairs, hue_tolerance=hue_tolerances, gray_bias=gray_biases)
+    def test_is_the_oracles(self, pair, hue_tolerance, gray_bias):
+        c1, c2, size = colors(pair)
+        expected = oracle.hue_add(pair[0][:3], pair[1][:3], hue_tolerance, gray_bias)
+        actual = hue_add(c1, c2, hue_tolerance=hue_tolerance, gray_bias=gray_bias)
+        assert_near(actual, expected, tolerance_of(hue_tolerance), size)
+
+    @given(pair=any_pairs, hue_tolerance=hue_tolerances)
+    def test_none_is_the_paper_to_the_last_bit(self, pair, hue_tolerance):
+        c1, c2, _ = colors(pair)
+        expected = hue_add(c1, c2, hue_tolerance=hue_tolerance)
+        actual = hue_add(c1, c2, hue_tolerance=hue_tolerance, gray_bias=0)
+        assert actual.tobytes() == expected.tobytes()
+
+    @pytest.mark.parametrize(
+        ("gray_bias", "kept"), [(0.0, 1 / 2), (1 / 3, 3 / 4), (2 / 3, 7 / 8), (1.0, 15 / 16)]
+    )
+    def test_half_as_strong_a_rival(self, gray_bias, kept):
+        c1, c2 = color_of(20, 0.2, 0.5), color_of(140, 0.1, 0.25)
+        for a, b in ((c1, c2), (c2, c1)):
+            result = hue_add(np.array(a), np.array(b), gray_bias=gray_bias)
+            assert_near(result, color_of(20, 0.2 * kept, 0.75), FLOAT64)
+
+    @given(
+        pair=any_pairs,
+        hue_tolerance=hue_tolerances,
+        biases=st.tuples(gray_biases, gray_biases).map(sorted),
+    )
+    def test_the_more_of_it_the_more_chroma_up_to_plain_sums_of_lengths(
+        self, pair, hue_tolerance, biases
+    ):
+        c1, c2, size = colors(pair)
+        less, more = (hue_add(c1, c2, hue_tolerance=hue_tolerance, gray_bias=b) for b in biases)
+        assert chroma(less) <= chroma(more) + tolerance_of(hue_tolerance) * size
+        assert chroma(more) <= chroma(c1) + chroma(c2) + tolerance_of(hue_tolerance) * size
+
+    @given(pair=any_pairs, hue_tolerance=hue_tolerances, gray_bias=gray_biases)
+    def test_commutative_and_luminance_adds(self, pair, hue_tolerance, gray_bias):
+        c1, c2, size = colors(pair)
+        rules = {"hue_tolerance": hue_tolerance, "gray_bias": gray_bias}
+        result = hue_add(c1, c2, **rules)
+        assert_near(result, hue_add(c2, c1, **rules), ROUNDING, size)
+        expected = oracle.luminance(pair[0]) + oracle.luminance(pair[1])
+        assert_near(oracle.luminance(result), expected, ROUNDING, size)
+
+    @given(pair=any_pairs, gray_bias=gray_biases, k=st.floats(1e-3, 1e3))
+    def test_homogeneous(self, pair, gray_bias, k):
+        c1, c2, size = colors(pair)
+        expected = k * hue_add(c1, c2, gray_bias=gray_bias)
+        assert_near(hue_add(k * c1, k * c2, gray_bias=gray_bias), expected, FLOAT64, k * size)
+
+    @given(hue=hues, apart=st.floats(25, 180), m1=chromas, m2=chromas, gray_bias=gray_biases)
+    def test_the_hue_is_that_of_the_stronger_one(self, hue, apart, m1, m2, gray_bias):
+        assume(abs(m1 - m2) > HAS_HUE)
+        c1, c2 = color_of(hue, m1, 1), color_of(hue + apart, m2, 1)
+        result = hue_add(np.array(c1), np.array(c2), gray_bias=gray_bias)
+        assert angle_deg(result, c1 if m1 > m2 else c2) <= ANGLE_DEG
+
+    @pytest.mark.parametrize("gray_bias", [0.0, 0.01, 0.5, 1.0])
+    @given(hue=hues, m1=chromas, m2=chromas)
+    def test_opposite_hues_are_added_as_usual_without_it_alone(self, gray_bias, hue, m1, m2):
+        c1, c2 = np.array(color_of(hue, m1, 1)), np.array(color_of(hue + 180, m2, 1))
+        result = hue_add(c1, c2, gray_bias=gray_bias)
+        ratio = min(m1, m2) / max(m1, m2)
+        # What is left beyond |m1 − m2|; nothing where they are as strong as each other.
+        more = max(m1, m2) * (ratio - ratio ** (1 + 3 * gray_bias))
+        assert_near(chroma(result) - chroma(c1 + c2), more, FLOAT64)
+        assert gray_bias == 0 or more > 0 or ratio == 1
+
+    @given(hue=hues, m=chromas, gray_bias=gray_biases, data=st.data())
+    def test_equal_hues_are_added_as_usual(self, hue, m, gray_bias, data):
+        c1, c2 = (np.array(color_of(hue + data.draw(st.floats(0, 0.9)), m, 1)) for _ in range(2))
+        assert_near(hue_add(c1, c2, gray_bias=gray_bias), c1 + c2, FLOAT64)
+
+    @pytest.mark.parametrize("hue_tolerance", HUE_TOLERANCES)
+    @pytest.mark.parametrize("gray_bias", [0.1, 0.5, 1.0])
+    def test_closed_in_gamut_on_its_edges(self, hue_tolerance, gray_bias):
+        steps = np.array([0.0, 0.5, 1.0])
+        points = np.stack(np.meshgrid(steps, steps, steps), axis=-1).reshape(-1, 3)
+        for alpha_1, alpha_2 in ((1, 1), (1, 0.25), (0.5, 0.75), (1, 0)):
+            result = hue_add(
+                alpha_1 * points[:, None],
+                alpha_2 * points[None],
+                hue_tolerance=hue_tolerance,
+                gray_bias=gray_bias,
+            )
+            assert result.min() >= -ROUNDING
+            assert result.max() <= alpha_1 + alpha_2 + ROUNDING
+
+    @pytest.mark.parametrize("gray_bias", [0.0, 0.2, 1.0])
+    @pytest.mark.parametrize("hue_tolerance", [0.5, 2.0, 30.0])
+    def test_continuous_along_random_paths(self, hue_tolerance, gray_bias):
+        # From corner to corner of the gamut, each colour on its own way: no step of the result is
+        # longer than the stated multiple of the steps of both.
+        rng = np.random.default_rng(14)
+        corners = rng.random((2, 200, 3))
+        corners[:, ::3] = corners[:, ::3].round()
+        corners[1, ::7] = 0.4 * corners[0, ::7]  # through equal hues, and through grey
+        corners[0, ::11] = 0.5
+        steps = np.linspace(0, 1, 400, endpoint=False)[:, None, None]
+        paths = corners[:, None, :-1] + steps * np.diff(corners, axis=1)[:, None]
+        c1, c2 = (path.swapaxes(0, 1).reshape(-1, 3) for path in paths)
+        result = hue_add(c1, c2, hue_tolerance=hue_tolerance, gray_bias=gray_bias)
+        moved = sum(np.linalg.norm(np.diff(c, axis=0), axis=1) for c in (c1, c2))
+        changes = np.linalg.norm(np.diff(result, axis=0), axis=1)
+        slope = TestContinuity.slope(hue_tolerance, gray_bias)
+        assert np.all(changes <= slope * moved + FLOAT64)
+        # A switch without a shoulder would show: its jumps are many times as long.
+        hard = hue_add(c1, c2, hue_tolerance=0, gray_bias=gray_bias)
+        jumps = np.linalg.norm(np.diff(hard, axis=0), axis=1)
+        assert hue_tolerance < 30 or np.any(jumps > 10 * slope * moved)
+
+    @pytest.mark.parametrize("gray_bias", [-1e-9, -1.0, 1.001, math.nan, math.inf])
+    def test_a_bias_out_of_range_is_an_error(self, gray_bias):
+        with pytest.raises(SettingError, match=r"gray bias .* is outside 0 to 1"):
+            hue_add(np.array(RED), np.array(BLUE), gray_bias=gray_bias)
+
+    @pytest.mark.parametrize(("dtype", "tiny"), [(np.float64, 1e-310), (np.float32, 1e-40)])
+    def test_subnormal_colours(self, dtype, tiny):
+        small = (tiny * np.array(PRIMARIES)).astype(dtype)
+        large = np.array(PRIMARIES, dtype)
+        result = hue_add(large[:, None], small[None], gray_bias=1)
+        assert_near(result, np.broadcast_to(large[:, None], result.shape), FLOAT32)
+
+
+class TestForemost:
+    def test_the_front_one_or_what_is_behind_it(self):
+        front = np.array([[0.1, 0.0, 0.0, 1e-300, 0.0], [0.2, 0.0, -0.1, 0.0, -0.0]])
+        behind = np.array([[1.0, 2.0, 3.0, 4.0, 5.0], [1.0, 1.0, 1.0, 1.0, 0.0]])
+        expected = [[0.1, 2.0, 0.0, 1e-300, 5.0], [0.2, 1.0, -0.1, 0.0, 0.0]]
+        for rules in ((2.0, 0.0), (0.0, 1.0)):
+            assert addition.add_foremost(front, behind, *rules).tolist() == expected
+            both = np.array([front, behind])
+            assert addition.sum_foremost(both, *rules).tolist() == expected
+
+    def test_no_multiple_bounds_its_steps(self):
+        # The paper: "little tints of close-by colors could completely change the final image".
+        red = np.array([[0.5], [0.1]])
+        for tint in (1e-1, 1e-3, 1e-9, 1e-300):
+            veil = np.array([[0.0], [-tint]])
+            change = addition.add_foremost(veil, red, 2.0) - addition.add_foremost(
+                0 * veil, red, 2.0
+            )
+            assert np.linalg.norm(change) > 0.5
+
+
 class TestPaleLabels:
     """Why the default is 2°: 8-bit rounding turns the hue of a pale label by up to about 2°."""
 
@@ -486,6 +636,7 @@ class TestTraditional:
         p1, p2 = np.array(pair[0][:2]), np.array(pair[1][:2])
         add = addition.add_traditional
         assert add(p1, p2, hue_tolerance).tolist() == (p1 + p2).tolist()
+        assert add(p1, p2, hue_tolerance, 0.7).tolist() == (p1 + p2).tolist()
 
 
 class TestRange:

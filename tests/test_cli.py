@@ -344,11 +344,32 @@ def test_space(desk, space):
     assert json.loads((desk / "made.json").read_text())["space"] == space
 
 
+@pytest.mark.parametrize("rule", ["gray_bias", "blending"])
+def test_rules_beside_the_papers(desk, rule):
+    value, order = {"gray_bias": (0.5, "simultaneous"), "blending": ("foremost", "bottom-up")}[rule]
+    options = [f"--{rule.replace('_', '-')}", str(value), "--order", order]
+    desk.makes("stack", "base.png", "top.png", "-o", "out.exr", "--depth", "float", *options)
+    layers = [
+        package.read_layer(desk / name).pixels[0, 0].tolist() for name in ("base.png", "top.png")
+    ]
+    expected = oracle.composite(layers, order=order, ops=[None, "over"], **{rule: value})
+    assert package.read_layer(desk / "out.exr").pixels[0, 0] == pytest.approx(expected, abs=2e-6)
+    desk.makes("stack", "base.png", "top.png", "-o", "out.exr", *options, "--report", "made.json",
+               "--provenance", "origin.exr")  # fmt: skip
+    made = json.loads((desk / "made.json").read_text())
+    assert made["settings"][rule.replace("_", " ")] == str(value)
+    assert made["measures"]["result"] != made["measures"]["traditional"]
+    shown = desk.makes("explain", "base.png", "top.png", "--at", "0,0", "--format", "json", *options)
+    data = json.loads(shown.stdout)
+    assert data[rule] == value
+    assert data["result"]["rgba"] == pytest.approx(expected, abs=2e-6)
+
+
 @pytest.mark.parametrize(
     ("options", "words"),
     [
         (["--op", "blend"], ["--op", "'blend'", *OPERATORS]),
-        (["--blending", "multiply"], ["multiply", "hue-preserving", "traditional"]),
+        (["--blending", "multiply"], ["multiply", "hue-preserving", "traditional", "foremost"]),
         (["--order", "sideways"], ["'sideways'", "bottom-up", "balanced", "simultaneous", "2,0,1"]),
         (["--order", "1"], ["1", "permutation", "0 to 1"]),
         (["--order", "0,0"], ["0,0", "permutation", "0 to 1"]),
@@ -359,6 +380,10 @@ def test_space(desk, space):
         (["--hue-tolerance", "-1"], ["-1", "0 to 90"]),
         (["--hue-tolerance", "nan"], ["nan", "0 to 90"]),
         (["--hue-tolerance", "wide"], ["wide", "--hue-tolerance"]),
+        (["--gray-bias", "-0.1"], ["-0.1", "0 to 1"]),
+        (["--gray-bias", "1.5"], ["gray bias 1.5", "0 to 1"]),
+        (["--gray-bias", "nan"], ["nan", "0 to 1"]),
+        (["--gray-bias", "strong"], ["strong", "--gray-bias"]),
         (["--canvas", "top"], ["'top'", "bottom", "union", "intersection", "WxH+X+Y"]),
         (["--canvas", "10x8"], ["10x8", "WxH+X+Y"]),
         (["--canvas", "0x8+0+0"], ["0x8"]),

@@ -52,6 +52,8 @@ CASES = [
             {"op": "xor", "background": "#2288dd", "exposure": -1.5},
             {"blending": "traditional", "op": "plus"},
             {"hue_tolerance": 0, "op": "atop"},
+            {"gray_bias": 0.6, "op": "plus"},
+            {"blending": "foremost", "op": "dst-over", "background": "#2288dd"},
         ),
     )
 ]
@@ -189,6 +191,51 @@ def test_the_shoulder_and_the_traditional_sum_are_told_apart(labels):
     assert plain.result == plain.traditional
 
 
+def test_the_foremost_is_named_from_the_front(labels):
+    files = labels((0, 0.3), (120, 0.1), (240, 0.2))
+    for order in ("bottom-up", "top-down", "simultaneous", "1,2,0"):
+        rules = {"op": "plus", "blending": "foremost", "order": order}
+        pixel = hpcomp.explain(files, (0, 0), background="#3366cc", **rules)
+        met = [(step.first, step.second) for step in pixel.meetings]
+        assert met == [((2,), (1,)), ((2, 1), (0,)), ((2, 1, 0), (None,))]
+        assert [(step.equality, step.dominant) for step in pixel.meetings] == [(None, 1)] * 3
+        assert pixel.rivalries == ()
+        assert (pixel.result.kind, pixel.result.survivor) == ("layer", 2)
+        assert pixel.result.chroma == pytest.approx(0.2, abs=1e-6)
+        assert pixel.traditional.kind == "foreign"
+    text = report.as_text(pixel)
+    assert "2 meets 1, 120.0° apart: 2 is in front, and its hue is all that counts" in text
+    files[1] += "::op=dst-over"
+    files[2] += "::op=dst-over"
+    pixel = hpcomp.explain(files, (0, 0), blending="foremost")
+    assert [(step.first, step.second) for step in pixel.meetings] == [((0,), (1,)), ((0, 1), (2,))]
+    assert pixel.result.survivor == 0
+
+
+def test_the_foremost_may_have_next_to_no_hue(labels):
+    files = labels((0, 0.3), (120, 1e-7), (0, 0.0))
+    pixel = hpcomp.explain(files, (0, 0), op="plus", blending="foremost")
+    assert pixel.meetings[0].dominant is None
+    assert pixel.meetings[1].dominant == 1
+    assert pixel.result.kind == "grey"
+    text = report.as_text(pixel)
+    assert "2 meets 1: 2 brings no chroma, 1 keeps its own" in text
+    assert "the foremost colour is next to grey" in text.splitlines()
+    assert "traditional: layer 0 (l0.exr) keeps its hue" in text
+
+
+def test_a_bias_against_grey_shows_in_steps_and_in_shares(labels):
+    files = labels((0, 0.2), (120, 0.1))
+    pixel = hpcomp.explain(files, (0, 0), op="plus", gray_bias=1)
+    assert pixel.meetings[0].chroma == pytest.approx(0.2 * 15 / 16, abs=1e-6)
+    assert ", gray bias 1" in report.as_text(pixel)
+    assert report.as_data(pixel)["gray_bias"] == 1
+    pixel = hpcomp.explain(files, (0, 0), op="plus", gray_bias=1, order="simultaneous")
+    assert [r.share for r in pixel.rivalries] == pytest.approx([15 / 16, 0], abs=1e-6)
+    assert pixel.result.chroma == pytest.approx(0.2 * 15 / 16, abs=1e-6)
+    assert "gray bias" not in report.as_text(hpcomp.explain(files, (0, 0), op="plus"))
+
+
 @pytest.mark.parametrize(
     ("colors", "rules", "kind", "plain_kind", "says"),
     [
@@ -297,7 +344,8 @@ def test_the_command_prints_text_or_json(desk):
 @pytest.mark.parametrize("space", hpcomp.SPACES)
 def test_the_command_takes_the_options_of_stack(desk, space):
     options = ["--order", "top-down", "--op", "xor", "--background", "#ff0000", "--exposure", "1",
-               "--hue-tolerance", "0", "--canvas", "9x9-1-1", "--space", space]  # fmt: skip
+               "--hue-tolerance", "0", "--gray-bias", "0.25", "--canvas", "9x9-1-1",
+               "--space", space]  # fmt: skip
     desk.makes("stack", "a.png", "b.png", "-o", "made.exr", "--depth", "float", *options)
     found = json.loads(
         desk.makes("explain", "a.png", "b.png", "--at", "-1,0", "--format", "json", *options).stdout
@@ -332,6 +380,7 @@ def test_a_pixel_outside_the_canvas_is_refused(desk):
         (["a.png", "--at", "here"], 2, ["'here'", "X,Y"]),
         (["a.png", "--at", "0,0", "--order", "1,0"], 2, ["not a permutation"]),
         (["a.png", "--at", "0,0", "--foreign-tolerance", "200"], 2, ["foreign tolerance"]),
+        (["a.png", "--at", "0,0", "--gray-bias", "2"], 2, ["gray bias 2", "0 to 1"]),
         (["a.png", "missing.png", "--at", "0,0"], 3, ["layer 1", "missing.png"]),
         (["a.png", "c.exr", "-", "-", "--at", "0,0"], 2, ["stdin"]),
     ],

@@ -124,7 +124,7 @@ class TestAgreement:
         assert found.result.occupied > 100
 
     @pytest.mark.parametrize("order", ORDERS)
-    @pytest.mark.parametrize("blending", BLENDING_NAMES)
+    @pytest.mark.parametrize("blending", kernel.MEASURED_BLENDINGS)
     @pytest.mark.parametrize("op", OPERATOR_NAMES)
     def test_operator_blending_order(self, op, blending, order):
         rules = stack_rules(4, op=op, blending=blending, order=order)
@@ -144,6 +144,12 @@ class TestAgreement:
     @pytest.mark.parametrize("order", ORDERS)
     def test_hue_tolerance(self, order, hue_tolerance):
         rules = stack_rules(4, op="plus", order=order, hue_tolerance=hue_tolerance)
+        assert_agree(rules, strips_of(LAYERS), 700, 3)
+
+    @pytest.mark.parametrize("gray_bias", [0.1, 1.0])
+    @pytest.mark.parametrize("order", ORDERS)
+    def test_gray_bias(self, order, gray_bias):
+        rules = stack_rules(4, op="xor", order=order, gray_bias=gray_bias, background=RED)
         assert_agree(rules, strips_of(LAYERS), 700, 3)
 
     @pytest.mark.parametrize("foreign_tolerance", [0.0, 1.0, 90.0, 180.0])
@@ -351,6 +357,19 @@ def test_the_engine_that_is_chosen_finds(monkeypatch):
     for name, module in ENGINES.items():
         monkeypatch.setenv(engine.VARIABLE, name)
         assert everything(engine.findings(*arguments)) == everything(module.findings(*arguments))
+
+
+@pytest.mark.parametrize("name", ENGINES)
+@pytest.mark.parametrize("blending", BLENDING_NAMES)
+def test_every_blending_is_measured(monkeypatch, name, blending):
+    rules = stack_rules(4, blending=blending, op="dst-over", background=RED)
+    arguments = rules, measures.measure_settings(rules), 360, strips_of(LAYERS), 700, 3, True
+    monkeypatch.setenv(engine.VARIABLE, name)
+    (ours, planes), (theirs, their_planes) = engine.findings(*arguments), findings.findings(*arguments)
+    for found, expected in zip(ours.measures.result.layers, theirs.measures.result.layers, strict=True):
+        assert abs(found.survived - expected.survived) <= TIES
+        assert found.kept == pytest.approx(expected.kept, rel=SUMS)
+    assert np.count_nonzero(planes.layer != their_planes.layer) <= TIES
 
 
 # ---- closed forms --------------------------------------------------------------------------------

@@ -154,14 +154,14 @@ def in_shoulder(rules, arrays):
         angle = np.arctan2(abs(p1[0] * p2[1] - p1[1] * p2[0]), p1[0] * p2[0] + p1[1] * p2[1])
         found[:] |= (angle > begin) & (angle < end) & p1.any(axis=0) & p2.any(axis=0)
 
-    def add(p1, p2, hue_tolerance):
+    def add(p1, p2, *settings):
         look(p1, p2)
-        return addition.add_hue_preserving(p1, p2, hue_tolerance)
+        return addition.add_hue_preserving(p1, p2, *settings)
 
-    def add_all(terms, hue_tolerance):
+    def add_all(terms, *settings):
         for p1, p2 in itertools.combinations(terms, 2):
             look(p1, p2)
-        return addition.sum_simultaneous(terms, hue_tolerance)
+        return addition.sum_simultaneous(terms, *settings)
 
     blending = addition.Blending("hue-preserving", add, add_all, rules.blending.depends_on_order)
     watched = dataclasses.replace(rules, blending=blending)
@@ -248,6 +248,13 @@ class TestAgreement:
         rules = stack_rules(4, order=order, op="plus", hue_tolerance=hue_tolerance)
         assert_engines_agree(rules, self.LAYERS)
 
+    @pytest.mark.parametrize("gray_bias", [1e-30, 1e-3, 0.1, 0.5, 1.0])
+    @pytest.mark.parametrize("order", ORDERS)
+    def test_gray_bias(self, order, gray_bias):
+        for op, more in (("plus", {}), ("xor", {"background": (0.9, 0.1, 0.2)})):
+            rules = stack_rules(4, order=order, op=op, gray_bias=gray_bias, **more)
+            assert_engines_agree(rules, self.LAYERS)
+
     @pytest.mark.parametrize("order", [*ORDER_NAMES, "shuffled"])
     @pytest.mark.parametrize("n_layers", [1, 2, 3, 5, 8, 17])
     def test_any_number_of_layers(self, n_layers, order):
@@ -289,6 +296,7 @@ class TestAgreement:
             blending=job["blending"],
             order=job["order"],
             hue_tolerance=job["hue_tolerance"],
+            gray_bias=job["gray_bias"],
             background=job["background"],
         )
         assert_engines_agree(rules, np.array(job["layers"], np.float32)[:, None, None])
@@ -792,6 +800,8 @@ class TestBytes:
             stack_rules(4, op=op, order=order),
             stack_rules(4, op=op, order=order, background=(0.1, 0.2, 0.9), exposure=0.3,
                         opacity=0.7, hue_tolerance=0),
+            stack_rules(4, op=op, order=order, gray_bias=0.37),
+            stack_rules(4, op=op, blending="foremost", background=(0.1, 0.2, 0.9)),
         ):  # fmt: skip
             fastest = everything_made(layers, rules)
             for level in kernel.levels():
@@ -935,7 +945,7 @@ def make_layer(samples=None, decode=None, **changed):
     """`_kernel.layer` with arguments that are right but for those given."""
     arguments = {
         "alpha_straight": False, "matrix": None, "left": 0, "top": 0, "opacity": 1.0,
-        "factor_a": 1, "factor_b": 3, "zero_nonfinite": False,
+        "factor_a": 1, "factor_b": 3, "behind": False, "zero_nonfinite": False,
     }  # fmt: skip
     samples = np.zeros((2, 3, 4), np.float32) if samples is None else samples
     return _kernel.layer(samples=samples, decode=decode, **{**arguments, **changed})
@@ -943,7 +953,7 @@ def make_layer(samples=None, decode=None, **changed):
 
 def make_rules(**changed):
     arguments = {
-        "hue_preserving": True, "tolerance": 0.03, "rounding_angle": 1e-4, "order": 0,
+        "blending": 0, "tolerance": 0.03, "rounding_angle": 1e-4, "gray_bias": 0.0, "order": 0,
         "permutation": [], "layers": 2, "background": None, "gain": 1.0,
         "weights": [0.2, 0.1], "to_p": [1.0] * 4, "from_p": [1.0] * 6,
     }  # fmt: skip
@@ -1067,7 +1077,7 @@ class TestDoor:
     @pytest.mark.parametrize("samples", [None, [[[0.0] * 4]], b"0123", 1.0, object()], ids=repr)
     def test_samples_that_are_no_array(self, samples):
         with refused():
-            _kernel.layer(samples, None, False, None, 0, 0, 1.0, 1, 3, False)
+            _kernel.layer(samples, None, False, None, 0, 0, 1.0, 1, 3, False, False)
 
     @pytest.mark.parametrize(
         ("dtype", "table"), [(np.float32, None), (np.float16, None), (np.uint16, TABLE_16)]
@@ -1119,6 +1129,22 @@ class TestDoor:
     def test_unknown_order(self, order):
         with refused():
             make_rules(order=order)
+
+    @pytest.mark.parametrize("blending", [-1, 3, 2**31, None])
+    def test_unknown_blending(self, blending):
+        with refused():
+            make_rules(blending=blending)
+
+    @pytest.mark.parametrize("order", ALL_ORDERS[1:])
+    def test_the_foremost_is_found_from_the_bottom_up_alone(self, order):
+        make_rules(blending=2)
+        with refused():
+            make_rules(blending=2, order=order, permutation=[1, 0])
+
+    @pytest.mark.parametrize("gray_bias", [-0.1, 1.1, np.nan, np.inf, None])
+    def test_gray_bias(self, gray_bias):
+        with refused():
+            make_rules(gray_bias=gray_bias)
 
     @pytest.mark.parametrize("layers", [0, -1, 2**20 + 1, 2**31, None, 1.5])
     def test_number_of_layers(self, layers):

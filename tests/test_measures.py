@@ -128,11 +128,34 @@ def test_order_sensitivity_compares_bottom_up_with_top_down():
     assert measured(layers).order_sensitive == 1
     assert measured(layers[:2]).order_sensitive == 0
     assert measured(layers, blending="traditional").order_sensitive == 0
+    assert measured(layers, blending="foremost").order_sensitive == 0
 
 
 def test_a_stack_that_is_added_as_usual_measures_the_same_twice():
     found = measured([label(0, 0.3), label(100, 0.1)], blending="traditional")
     assert found.result == found.traditional
+
+
+def test_the_foremost_keeps_its_chroma_and_all_others_lose_theirs():
+    layers = [label(0, 0.3), label(120, 0.1), label(240, 0.2)]
+    for order in ORDERS:
+        found = measured(layers, blending="foremost", order=order)
+        assert [layer.survived for layer in found.result.layers] == [0, 0, 1]
+        assert [layer.lost for layer in found.result.layers] == pytest.approx([1, 1, 0], abs=NEAR)
+        assert found.result.lost == pytest.approx(0.4 / 0.6, abs=NEAR)
+        assert found.result.foreign == 0
+        assert found.traditional == measured(layers).traditional
+    ops = [None, "dst-over", "dst-atop"]
+    behind = hpcomp.stack_measures(layers, blending="foremost", op=ops)
+    assert [layer.survived for layer in behind.result.layers] == [1, 0, 0]
+
+
+def test_a_bias_against_grey_loses_less():
+    lost = [
+        measured([label(0, 0.2), label(120, 0.1)], gray_bias=bias).result.lost
+        for bias in (0, 1 / 3, 1)
+    ]
+    assert lost == pytest.approx([1 - 0.1 / 0.3, 1 - 0.15 / 0.3, 1 - 0.1875 / 0.3], abs=NEAR)
 
 
 def test_the_background_contributes_and_has_no_number():
@@ -294,6 +317,7 @@ def pixel_stacks(draw, min_pixels=1, max_pixels=12):
         "order": draw(st.one_of(strategies.orders, st.permutations(range(n)))),
         "blending": draw(st.sampled_from(strategies.BLENDING_NAMES)),
         "hue_tolerance": draw(strategies.hue_tolerances),
+        "gray_bias": draw(st.sampled_from(strategies.GRAY_BIASES)),
         "background": draw(st.one_of(st.none(), st.tuples(*[st.floats(0, 1)] * 3))),
         "half_step": draw(st.sampled_from((measures.HALF_STEP_8_BIT, measures.HALF_STEP_FINE))),
     }
@@ -457,7 +481,7 @@ def literal(layers, settings, **job):
         "contributes": [m > step for m in sizes],
         "result": found,
         "traditional": result(plain),
-        "sensitive": job["blending"] != "traditional"
+        "sensitive": job["blending"] == "hue-preserving"
         and found["chromatic"]
         and survivor(oracle.difference(composite(order="bottom-up")))
         != survivor(oracle.difference(composite(order="top-down"))),
@@ -484,10 +508,14 @@ def test_measures_and_provenance_agree_with_the_literal_ones(stack):
             order=rules["order"],
             blending=rules["blending"],
             hue_tolerance=rules["hue_tolerance"],
+            gray_bias=rules["gray_bias"],
             background=rules["background"],
         )
         for x in range(layers.shape[1])
     ]
+    for x in range(layers.shape[1]):
+        assume(strategies.is_decided(layers[:, x].tolist(), rules["op"], rules["opacity"],
+                                     rules["blending"], rules["background"]))  # fmt: skip
     # A hair from a threshold float and double may part.
     for pixel in pixels:
         for value in (*pixel["sizes"], pixel["result"]["size"], pixel["traditional"]["size"]):

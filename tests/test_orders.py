@@ -13,6 +13,7 @@ from strategies import (
     HUE_TOLERANCES,
     ORDER_NAMES,
     color_of,
+    gray_biases,
     hue_tolerances,
     hues,
     operators,
@@ -40,14 +41,14 @@ BALANCED_TREES = {
 }
 
 
-def reduced(composite, colors, order, hue_tolerance=2.0):
+def reduced(composite, colors, order, hue_tolerance=2.0, **rules):
     """The colours alone, reduced in that order: `plus` of glows has weight 1 for each of them."""
     layers = [np.array([*c, 0.0]) for c in colors]
-    return composite(layers, op="plus", order=order, hue_tolerance=hue_tolerance)[..., :3]
+    return composite(layers, op="plus", order=order, hue_tolerance=hue_tolerance, **rules)[..., :3]
 
 
-def simultaneous(composite, colors, hue_tolerance=2.0):
-    return reduced(composite, colors, "simultaneous", hue_tolerance)
+def simultaneous(composite, colors, hue_tolerance=2.0, **rules):
+    return reduced(composite, colors, "simultaneous", hue_tolerance, **rules)
 
 
 def chroma(c):
@@ -351,6 +352,74 @@ class TestSimultaneous:
             return best
 
         assert seconds(sparse) < 0.5 * seconds(crowded)
+
+
+class TestGrayBias:
+    """§1.7, where more than two colours meet; of two it is `test_addition`'s."""
+
+    @given(data=st.data(), hue_tolerance=hue_tolerances, gray_bias=gray_biases)
+    def test_two_terms_are_plus_in_a_circle(self, composite, data, hue_tolerance, gray_bias):
+        c1, c2 = (layer[:3] for layer in data.draw(stacks(hue_tolerance, 2, 2)))
+        rules = {"hue_tolerance": hue_tolerance, "gray_bias": gray_bias}
+        expected = hue_add(np.array(c1), np.array(c2), **rules)
+        for order in ORDER_NAMES:
+            result = reduced(composite, [c1, c2], order, **rules)
+            assert_near(result, expected, tolerance_of(hue_tolerance), size_of([c1, c2]))
+
+    @given(data=st.data(), gray_bias=gray_biases)
+    def test_simultaneous_is_permutation_invariant(self, composite, data, gray_bias):
+        colors = [layer[:3] for layer in data.draw(stacks(min_size=2))]
+        shuffled = data.draw(st.permutations(colors))
+        first, second = (
+            simultaneous(composite, c, gray_bias=gray_bias) for c in (colors, shuffled)
+        )
+        assert_near(first, second, FLOAT64, size_of(colors))
+
+    @given(
+        groups=st.lists(
+            st.lists(st.floats(0.01, 1), min_size=1, max_size=4), min_size=2, max_size=3
+        ),
+        gray_bias=gray_biases,
+    )
+    def test_the_largest_group_is_left_less_the_power_of_the_runner_up(
+        self, composite, groups, gray_bias
+    ):
+        colors = [color_of(120 * number, m, 1.0) for number, g in enumerate(groups) for m in g]
+        totals = [sum(group) for group in groups]
+        expected = 0
+        for number, total in enumerate(totals):
+            rival = max(other for i, other in enumerate(totals) if i != number)
+            left = 1 - min(1, rival / total) ** (1 + 3 * gray_bias)
+            expected = expected + left * np.array(color_of(120 * number, total, 0.0))
+        result = simultaneous(composite, colors, gray_bias=gray_bias)
+        assert_near(result, expected + len(colors), FLOAT64, size_of(colors))
+
+    @pytest.mark.parametrize("order", ORDER_NAMES)
+    @pytest.mark.parametrize("gray_bias", [0.0, 0.2, 1.0])
+    def test_continuous_along_random_paths(self, composite, order, gray_bias):
+        # Three colours at a time, each on its own way through the gamut. Every ⊕ that a colour goes
+        # through multiplies its step by 1 + 3b + 3/τ at most; `simultaneous` does so once for each
+        # pair. Single precision, so that the kernel is meant, adds its rounding.
+        tolerance = 30.0
+        rng = np.random.default_rng(15)
+        corners = rng.random((3, 60, 3))
+        corners[:, ::3] = corners[:, ::3].round()
+        corners[1, ::7] = 0.4 * corners[0, ::7]
+        steps = np.linspace(0, 1, 2000, endpoint=False)[:, None, None]
+        paths = [c[None, :-1] + steps * np.diff(c, axis=0)[None] for c in corners]
+        colors = np.array([path.swapaxes(0, 1).reshape(-1, 3) for path in paths], np.float32)
+        layers = np.concatenate([colors, np.zeros((*colors.shape[:2], 1), np.float32)], axis=2)
+        rules = {"op": "plus", "order": order, "hue_tolerance": tolerance, "gray_bias": gray_bias}
+        result = composite(list(layers), **rules)[:, :3].astype(np.float64)
+        moved = np.linalg.norm(np.diff(colors.astype(np.float64), axis=1), axis=2).sum(axis=0)
+        changes = np.linalg.norm(np.diff(result, axis=0), axis=1)
+        slope = 1 + 3 * gray_bias + 3 / math.radians(tolerance)
+        multiple = math.sqrt(3) + (9 * slope if order == "simultaneous" else slope**2)
+        assert np.all(changes <= multiple * moved + FLOAT32)
+        # The same without a shoulder jumps.
+        hard = composite(list(layers), **{**rules, "hue_tolerance": 0})[:, :3].astype(np.float64)
+        jumps = np.linalg.norm(np.diff(hard, axis=0), axis=1)
+        assert np.any(jumps > multiple * moved + FLOAT32)
 
 
 class TestArguments:

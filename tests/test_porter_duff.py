@@ -81,6 +81,12 @@ def test_mirrored_operators_exchange_layer_and_stack(name, mirrored):
             assert (float(f_a), float(f_b)) == (float(g_b), float(g_a))
 
 
+def test_only_dst_over_and_dst_atop_put_a_layer_behind():
+    behind = [name for name, row in OPERATORS.items() if row.front_first("layer", "stack")[1] == "layer"]
+    assert behind == ["dst-over", "dst-atop"]
+    assert operator("over").front_first("layer", "stack") == ("layer", "stack")
+
+
 @pytest.mark.parametrize("name", strategies.OPERATOR_NAMES)
 def test_factors_of_arrays_are_those_of_their_elements(name):
     alpha_a, alpha_b = (grid.copy() for grid in np.meshgrid(ALPHAS, ALPHAS))

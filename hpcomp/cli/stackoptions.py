@@ -30,7 +30,8 @@ STACK_OPTIONS: dict[str, Callable[[F], F]] = {
         type=click.Choice(list(BLENDINGS)),
         default="hue-preserving",
         show_default=True,
-        help="How colours are added.",
+        help="How colours are added: the stronger one keeps its hue, hues mix as usual, or the one "
+        "in front keeps its hue.",
     ),
     "order": click.option(
         "--order",
@@ -54,6 +55,14 @@ STACK_OPTIONS: dict[str, Callable[[F], F]] = {
         show_default=True,
         metavar="DEGREES",
         help="Hues closer than this, 0 to 90, are equal; 0 is the paper's operator.",
+    ),
+    "gray_bias": click.option(
+        "--gray-bias",
+        type=float,
+        default=0.0,
+        show_default=True,
+        metavar="0…1",
+        help="How much less different hues cancel each other to grey; 0 is the paper's operator.",
     ),
     "exposure": click.option(
         "--exposure",

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..addition import BLENDINGS, ROUNDING_ANGLE
+from ..addition import ROUNDING_ANGLE
 from ..compositing import Reduction, StackRules
 from ..encoding import SRGB, Losses, decode_table, to_rec709
 from ..errors import unknown_name
@@ -30,9 +30,14 @@ NAME = "kernel"
 DECODES_IN_NUMPY = False
 #: Where its `findings` are, with all that they import.
 MEASURING = "hpcomp.kernel.measuring"
+#: The blendings that those know.
+MEASURED_BLENDINGS = ("hue-preserving", "traditional")
 
 #: Chooses an instruction set by name; the tests compare them.
 LEVEL_VARIABLE = "HPCOMP_KERNEL_LEVEL"
+
+#: The blendings in the order of their numbers in `block.h`.
+_BLENDINGS = ("hue-preserving", "traditional", "foremost")
 
 #: The numbers of the reductions in `block.h`.
 _BOTTOM_UP, _FRONT_TO_BACK, _PERMUTATION, _BALANCED, _SIMULTANEOUS = range(5)
@@ -116,6 +121,7 @@ def layer_of(
         strip.top,
         rules.opacities[number],
         *map(int, factors),
+        operator is not None and operator.behind,
         decoding.zero_nonfinite,
     )
     return layer, broken
@@ -143,9 +149,10 @@ def rules_of(rules: StackRules) -> Any:
     found = space.coefficients
     assert isinstance(found, PlaneCoefficients)
     return _kernel.rules(
-        rules.blending is BLENDINGS["hue-preserving"],
+        _BLENDINGS.index(rules.blending.name),
         math.radians(rules.hue_tolerance),
         ROUNDING_ANGLE,
+        rules.gray_bias,
         order,
         list(sequence),
         n,

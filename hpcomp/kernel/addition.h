@@ -1,4 +1,4 @@
-// How chroma is added: two terms with (+) or +, and many in any order.
+// How chroma is added: two terms with (+), + or by who is in front, and many in any order.
 
 #pragma once
 
@@ -50,28 +50,98 @@ HPCOMP_INLINE Scale scale_of(float a, float b, float c, float d) {
     return {float_of(0x7f000000u - exponent), float_of(exponent)};
 }
 
-// p <- p (+) q, or p + q: planes of n.
+// A share in [0, 1] to the power 3b: what the bias b against grey, above 0, multiplies the share by
+// that a rival cancels. In [0, 1], and 1 for a share of 1; their product is exact to 1e-7.
+HPCOMP_INLINE float bias(const Rules &rules, float share) {
+    // The share is 2^e * m with m around 1, and log2(m) an odd polynomial in (m - 1) / (m + 1).
+    const uint32_t bits = bits_of(share);
+    const int32_t e = int32_t(bits - 0x3f3504f3u) >> 23;  // of the root of a half
+    const float m = float_of(bits - (uint32_t(e) << 23));
+    const float s = (m - 1) / (m + 1);
+    const float q = s * s;
+    float slope = 0.431768588f;
+    slope = slope * q + 0.576713087f;
+    slope = slope * q + 0.96179886f;
+    slope = slope * q + 2.88539008f;
+    const float y = (float(e) + slope * s) * rules.gray_power;
+    // 2^y, its whole part as an exponent and the rest as a polynomial.
+    const float bounded = larger(smaller(y, 0.0f), -126.0f);
+    constexpr float kRounder = 12582912.0f;  // 1.5 * 2^23: adding it rounds to an integer
+    const float whole = (bounded + kRounder) - kRounder;
+    const float rest = bounded - whole;
+    float power = 0.000153533856f;
+    power = power * rest + 0.00133988722f;
+    power = power * rest + 0.00961843726f;
+    power = power * rest + 0.0555033248f;
+    power = power * rest + 0.240226479f;
+    power = power * rest + 0.693147203f;
+    power = power * rest + 1.0f;
+    return at_most_one(power * float_of(uint32_t(int32_t(whole) + 127) << 23));
+}
+
+// Two vectors scaled by one power of two, and their lengths.
+struct Scaled {
+    float x1, y1, x2, y2, m1, m2, up;
+};
+HPCOMP_INLINE Scaled scaled(float p0, float p1, float q0, float q1) {
+    const Scale scale = scale_of(p0, p1, q0, q1);
+    const float x1 = p0 * scale.down, y1 = p1 * scale.down;
+    const float x2 = q0 * scale.down, y2 = q1 * scale.down;
+    return {x1, y1, x2, y2, __builtin_sqrtf(x1 * x1 + y1 * y1), __builtin_sqrtf(x2 * x2 + y2 * y2),
+            scale.up};
+}
+
+// p <- p (+) q: planes of n.
+template <bool kBiased>
+HPCOMP_INLINE void add_keeping_hue(const Rules &rules, int n, float *p0, float *p1, const float *q0,
+                                   const float *q1) {
+    Plane biased;
+    if (kBiased) {
+        // A loop of its own: with the shoulder in it, it would be too long to be vectorised.
+        for (int i = 0; i < n; ++i) {
+            const Scaled v = scaled(p0[i], p1[i], q0[i], q1[i]);
+            const float most = larger(v.m1, v.m2);
+            const float share = smaller(v.m1, v.m2) / (most > 0 ? most : 1.0f);
+            biased[i] = 1 - share * bias(rules, share);
+        }
+    }
+    for (int i = 0; i < n; ++i) {
+        const Scaled v = scaled(p0[i], p1[i], q0[i], q1[i]);
+        const float most = larger(v.m1, v.m2), least = smaller(v.m1, v.m2);
+        const float plain = most > 0 ? (most - least) / most : 0.0f;  // [R3]
+        const float kept = kBiased ? biased[i] : plain;
+        const float x_differ = kept * (v.m1 >= v.m2 ? v.x1 : v.x2);   // [R2]
+        const float y_differ = kept * (v.m1 >= v.m2 ? v.y1 : v.y2);
+        const float e = shoulder(rules, v.x1, v.y1, v.x2, v.y2);      // [D3]
+        p0[i] = (x_differ + e * (v.x1 + v.x2 - x_differ)) * v.up;
+        p1[i] = (y_differ + e * (v.y1 + v.y2 - y_differ)) * v.up;
+    }
+}
+
+// p <- p and q, `behind` it or in front of it, by the blending: planes of n.
 HPCOMP_INLINE void add(const Rules &rules, int n, float *p0, float *p1, const float *q0,
-                       const float *q1) {
-    if (!rules.hue_preserving) {
+                       const float *q1, bool behind = false) {
+    switch (rules.blending) {
+    case Blending::kHuePreserving:
+        if (rules.gray_power > 0)
+            add_keeping_hue<true>(rules, n, p0, p1, q0, q1);
+        else
+            add_keeping_hue<false>(rules, n, p0, p1, q0, q1);
+        break;
+    case Blending::kTraditional:
         for (int i = 0; i < n; ++i) {
             p0[i] += q0[i];
             p1[i] += q1[i];
         }
-        return;
-    }
-    for (int i = 0; i < n; ++i) {
-        const Scale scale = scale_of(p0[i], p1[i], q0[i], q1[i]);
-        const float x1 = p0[i] * scale.down, y1 = p1[i] * scale.down;
-        const float x2 = q0[i] * scale.down, y2 = q1[i] * scale.down;
-        const float m1 = __builtin_sqrtf(x1 * x1 + y1 * y1), m2 = __builtin_sqrtf(x2 * x2 + y2 * y2);
-        const float most = larger(m1, m2), least = smaller(m1, m2);
-        const float kept = most > 0 ? (most - least) / most : 0.0f;  // [R3]
-        const float x_differ = kept * (m1 >= m2 ? x1 : x2);          // [R2]
-        const float y_differ = kept * (m1 >= m2 ? y1 : y2);
-        const float e = shoulder(rules, x1, y1, x2, y2);             // [D3]
-        p0[i] = (x_differ + e * (x1 + x2 - x_differ)) * scale.up;
-        p1[i] = (y_differ + e * (y1 + y2 - y_differ)) * scale.up;
+        break;
+    case Blending::kForemost:
+        for (int i = 0; i < n; ++i) {
+            const bool p_has_hue = (p0[i] != 0) | (p1[i] != 0);
+            const bool q_has_hue = (q0[i] != 0) | (q1[i] != 0);
+            const bool stays = behind ? p_has_hue : !q_has_hue;
+            p0[i] = stays ? p0[i] : q0[i];
+            p1[i] = stays ? p1[i] : q1[i];
+        }
     }
 }
 
@@ -109,6 +179,16 @@ HPCOMP_INLINE void shoulders(const Rules &rules, ConstRow xi, ConstRow yi, Const
 
 HPCOMP_INLINE void add_least(ConstRow m_j, ConstRow m_k, Row sum) {
     for (int l = 0; l < kLanes; ++l) sum[l] += smaller(m_j[l], m_k[l]);
+}
+
+// The larger of `part` and of what a rival cancels of a term, with the bias.
+HPCOMP_INLINE void biased_part(const Rules &rules, ConstRow own, ConstRow rival, ConstRow hold,
+                               ConstRow e, Row part) {
+    for (int l = 0; l < kLanes; ++l) {
+        const float strength = smaller(smaller(rival[l], hold[l]), own[l]);
+        const float q = own[l] > 0 ? strength / own[l] : 0.0f;
+        part[l] = larger((1 - e[l]) * (q * bias(rules, q)), part[l]);
+    }
 }
 
 // Some lanes as one value, which stays in a register from one term to the next where a row would go
@@ -206,6 +286,21 @@ HPCOMP_INLINE void rivals_scaled_sum(const Rules &rules, const float *p, int cou
                 std::memcpy(pair(support, i, j) + l, &sum, sizeof sum);
             }
         }
+    }
+    if (rules.gray_power > 0) {
+        for (int i = 0; i < n; ++i) {
+            float part[kLanes] = {};
+            for (int j = 0; j < n; ++j)
+                if (j != i)
+                    biased_part(rules, pair(support, i, j), pair(support, j, i), hold + j * kLanes,
+                                pair(e, i, j), part);
+            ConstRow x = term(i), y = x + kBlock;
+            for (int l = 0; l < kLanes; ++l) {
+                sum0[l] += (1 - part[l]) * x[l];
+                sum1[l] += (1 - part[l]) * y[l];
+            }
+        }
+        return;
     }
     for (int l = 0; l < kLanes; l += kRegister) {
         Lanes total0 = {}, total1 = {};

@@ -22,7 +22,7 @@ HPCOMP_INLINE void under_all(const Rules &rules, int n, float *luminance, float 
         at.alpha[i] = at_most_one(at.alpha[i] + weight * alpha[i]);
         transmittance[i] *= 1 - alpha[i];
     }
-    add(rules, n, at.p0, at.p1, q0, q1);
+    add(rules, n, at.p0, at.p1, q0, q1, true);
 }
 
 HPCOMP_INLINE void above_all(const Rules &rules, const Layer &layer, int n, float *luminance,
@@ -38,7 +38,7 @@ HPCOMP_INLINE void above_all(const Rules &rules, const Layer &layer, int n, floa
         p0[i] *= f_a[i];
         p1[i] *= f_a[i];
     }
-    add(rules, n, at.p0, at.p1, p0, p1);  // Eq. 2 with (+)
+    add(rules, n, at.p0, at.p1, p0, p1, layer.behind);  // Eq. 2 with (+)
 }
 
 HPCOMP_INLINE State state_at(const State &state, int64_t pixel) {
@@ -210,7 +210,7 @@ void finish(const Rules &rules, int64_t pixels, const State &state, const Output
                 q1[i] = uncovered * rules.background_p[1];
                 alpha[i] = 1;
             }
-            add(rules, n, p0, p1, q0, q1);
+            add(rules, n, p0, p1, q0, q1, true);
         }
         for (int i = 0; i < n; ++i) {
             red[i] = p0[i] * rules.from_p[0][0] + p1[i] * rules.from_p[0][1] + luminance[i];

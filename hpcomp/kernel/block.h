@@ -16,6 +16,7 @@ constexpr int kLanes = 16;
 
 enum class Sample : int { kU8, kU16, kHalf, kFloat };
 enum class Factor : int { kZero, kOne, kAlpha, kRest };
+enum class Blending : int { kHuePreserving, kTraditional, kForemost };
 enum class Order : int { kBottomUp, kFrontToBack, kPermutation, kBalanced, kSimultaneous };
 
 // Floats of scratch that a reduction of `n` layers takes: p, luminance and factors of each term; for
@@ -40,13 +41,15 @@ struct Layer {
     int left, top, width, height;  // its rectangle in the strip
     float opacity;
     Factor factor_a, factor_b;
+    int behind;             // put behind the layers below it, not in front of them
     int zero_nonfinite;     // else NaN and Inf are kept, and counted either way
 };
 
 struct Rules {
-    int hue_preserving;
+    Blending blending;
     float tolerance, inverse_tolerance;  // radians; the inverse is 0 for a hard switch
     float end_sine, end_cosine;          // of the angle from which hues differ
+    float gray_power;        // by how much the power of what hues cancel is above 1: 3b
     Order order;
     const int *permutation;  // of the layers, for kPermutation
     int layers;

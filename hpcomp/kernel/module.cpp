@@ -65,7 +65,7 @@ struct StripLayer {
 
 StripLayer make_layer(AnyArray samples, std::optional<Table> decode, bool alpha_straight,
                       std::optional<std::array<float, 9>> matrix, int64_t left, int64_t top,
-                      float opacity, int factor_a, int factor_b, bool zero_nonfinite) {
+                      float opacity, int factor_a, int factor_b, bool behind, bool zero_nonfinite) {
     StripLayer made;
     Layer &layer = made.layer;
     if (samples.ndim() != 3) throw nb::value_error("samples must be rows x columns x channels");
@@ -101,6 +101,7 @@ StripLayer make_layer(AnyArray samples, std::optional<Table> decode, bool alpha_
     layer.opacity = opacity;
     layer.factor_a = factor_of(factor_a);
     layer.factor_b = factor_of(factor_b);
+    layer.behind = behind;
     layer.zero_nonfinite = zero_nonfinite;
     made.samples = std::move(samples);
     return made;
@@ -112,8 +113,8 @@ struct StackRules {
     std::vector<int> permutation;
 };
 
-std::shared_ptr<StackRules> make_rules(bool hue_preserving, float tolerance, float rounding_angle, int order,
-                                       std::vector<int> permutation, int layers,
+std::shared_ptr<StackRules> make_rules(int blending, float tolerance, float rounding_angle,
+                                       float gray_bias, int order, std::vector<int> permutation, int layers,
                                        std::optional<std::array<float, 3>> background, float gain,
                                        std::array<float, 2> weights, std::array<float, 4> to_p,
                                        std::array<float, 6> from_p) {
@@ -121,6 +122,11 @@ std::shared_ptr<StackRules> make_rules(bool hue_preserving, float tolerance, flo
     Rules &rules = made->rules;
     if (layers < 1 || layers > (1 << 20)) throw nb::value_error("a stack needs layers");
     if (order < 0 || order > int(Order::kSimultaneous)) throw nb::value_error("unknown order");
+    if (blending < 0 || blending > int(Blending::kForemost)) throw nb::value_error("unknown blending");
+    // The folds of other orders do not know who is in front.
+    if (Blending(blending) == Blending::kForemost && Order(order) != Order::kBottomUp)
+        throw nb::value_error("the foremost is found from the bottom up");
+    if (!(gray_bias >= 0 && gray_bias <= 1)) throw nb::value_error("gray bias must be from 0 to 1");
     if (Order(order) == Order::kPermutation) {
         std::vector<bool> seen(size_t(layers), false);
         if (permutation.size() != size_t(layers)) throw nb::value_error("not a permutation");
@@ -131,7 +137,8 @@ std::shared_ptr<StackRules> make_rules(bool hue_preserving, float tolerance, flo
         }
     }
     made->permutation = std::move(permutation);
-    rules.hue_preserving = hue_preserving;
+    rules.blending = Blending(blending);
+    rules.gray_power = 3 * gray_bias;
     // Without a tolerance the switch is hard, at what float rounding turns a vector by.
     rules.tolerance = tolerance > 0 ? tolerance : rounding_angle;
     rules.inverse_tolerance = tolerance > 0 ? 1 / tolerance : 0;
@@ -402,9 +409,9 @@ NB_MODULE(_kernel, module) {
     // Arrays are taken as they are or refused: a converted copy would be slow, or lose a result.
     module.def("layer", &make_layer, "samples"_a.noconvert(), "decode"_a.none().noconvert(), "alpha_straight"_a,
                "matrix"_a.none(), "left"_a, "top"_a, "opacity"_a, "factor_a"_a, "factor_b"_a,
-               "zero_nonfinite"_a);
-    module.def("rules", &make_rules, "hue_preserving"_a, "tolerance"_a, "rounding_angle"_a, "order"_a, "permutation"_a,
-               "layers"_a, "background"_a.none(), "gain"_a, "weights"_a, "to_p"_a, "from_p"_a);
+               "behind"_a, "zero_nonfinite"_a);
+    module.def("rules", &make_rules, "blending"_a, "tolerance"_a, "rounding_angle"_a, "gray_bias"_a,
+               "order"_a, "permutation"_a, "layers"_a, "background"_a.none(), "gain"_a, "weights"_a, "to_p"_a, "from_p"_a);
     nb::class_<Accumulator>(module, "Accumulator")
         .def(nb::init<std::shared_ptr<StackRules>, int64_t, int64_t, const std::string &>(), "rules"_a,
              "width"_a, "height"_a, "level"_a = "")

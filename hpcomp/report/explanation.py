@@ -33,6 +33,7 @@ def as_data(pixel: PixelExplanation) -> dict[str, Any]:
         "order": rules.order.name,
         "space": rules.space.name,
         "hue_tolerance": rules.hue_tolerance,
+        "gray_bias": rules.gray_bias,
         "foreign_tolerance": pixel.settings.foreign_tolerance,
         "exposure": rules.exposure,
         "layers": [
@@ -119,10 +120,11 @@ def meaning(pixel: PixelExplanation, outcome: Outcome) -> str:
     if outcome.kind == "layer":
         assert outcome.survivor is not None
         return f"{pixel.layers[outcome.survivor].label} keeps its hue; {cancelled}"
+    by_depth = pixel.rules.blending.depends_on_depth and outcome is pixel.result
     return {
         "background": f"the background keeps its hue; {cancelled}",
         "foreign": f"the hue{_hue(outcome.hue, ' ')} is nobody's; {cancelled}",
-        "grey": "the hues cancel to grey",
+        "grey": "the foremost colour is next to grey" if by_depth else "the hues cancel to grey",
         "colorless": "no layer brings any chroma here",
         "unmeasured": "values without a hue, such as NaN, were let through",
     }[outcome.kind]
@@ -139,6 +141,7 @@ def as_text(pixel: PixelExplanation) -> str:
         f"{rules.blending.name}, order {rules.order.name}, space {rules.space.name}, "
         f"hues equal up to {rules.hue_tolerance:g}°, foreign beyond "
         f"{pixel.settings.foreign_tolerance:.3g}°"
+        + (f", gray bias {rules.gray_bias:g}" if rules.gray_bias else "")
         + (f", exposure {rules.exposure:+g} stops" if rules.exposure else ""),
         "",
         *_layer_lines(pixel),
@@ -233,8 +236,10 @@ def _meeting_line(step: Meeting) -> str:
         grey, other = (first, second) if not step.chroma_first else (second, first)
         return f"{first} meets {second}: {grey} brings no chroma, {other} keeps its own; {after}"
     said = f"{first} meets {second}, {step.angle:.1f}° apart: "
-    if step.equality is None:
+    if step.equality is None and step.dominant is None:
         return said + f"added as they are; {after}"
+    if step.equality is None:
+        return said + f"{first} is in front, and its hue is all that counts; {after}"
     if step.equality == 1:
         return said + f"equal hues, which add up; {after}"
     if step.dominant is None:
