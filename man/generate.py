@@ -440,7 +440,8 @@ def _provenance_section() -> list[str]:
         "grey": "The share of the layers' chroma that blending cancelled, 0 to 1.",
         "margin": "How far ahead the surviving layer was of the strongest of another hue, as a "
         "share of its own strength: 1 without a rival, near 0 where a hair decided, below 0 where "
-        "a stronger one was cancelled by others before they met; 0 where none survived.",
+        "a stronger one was cancelled by others before they met, or with `foremost` lies behind; 0 "
+        "where none survived.",
     }
     rows = [
         ".PP",
