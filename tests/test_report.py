@@ -479,7 +479,7 @@ def test_matplotlib_has_one_door():
         for path in package.rglob("*.py")
         if re.search(r"^\s*(?:import|from) matplotlib", path.read_text(), re.MULTILINE)
     }
-    assert importers == {"report/figure.py"}
+    assert importers == {"report/drawing.py"}
 
 
 def test_pixels_of_png_decode():

@@ -1,24 +1,17 @@
-"""Hue histograms as a figure to publish: SVG, PNG, PDF. The only importer of matplotlib.
-
-The same histograms give the same bytes: fonts are those that come with matplotlib, nobody's
-matplotlibrc is read, and neither time nor version is written.
-"""
+"""Hue histograms as a figure to publish: SVG, PNG, PDF. The same histograms, the same bytes."""
 
 from __future__ import annotations
 
-import io
-import logging
 import math
-import warnings
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ..errors import OutputError, SettingError, printable
+from ..errors import SettingError, printable
 from ..histogram import HueHistogram
 from ..hueaxis import HueAxis
+from .drawing import INK, PALE, SMALL, SMALLEST, TITLE, PolyCollection, Sheet, saved
 from .look import (
     SCALES,
     WEIGHT_TITLES,
@@ -33,25 +26,8 @@ from .look import (
 )
 from .stackreport import StackReport
 
-# What it has to say of its caches is not for those who ask for a figure.
-logging.getLogger("matplotlib").setLevel(logging.CRITICAL)
-
-try:
-    import matplotlib
-    from matplotlib.collections import PolyCollection
-    from matplotlib.figure import Figure
-    from matplotlib.font_manager import FontProperties
-    from matplotlib.patches import Rectangle
-    from matplotlib.text import Text
-except ImportError as missing:
-    raise OutputError(
-        f"a figure needs matplotlib, which cannot be imported ({missing}): "
-        "pip install 'hpcomp[plot]'"
-    ) from None
-
 #: Small multiples beyond these would be a wall, and a PNG of them too large.
 MOST_IMAGES = 120
-PNG_DPI = 200
 
 # Inches. A cell is one image: its title and two lines of text above, a straight axis, a round one.
 _LINEAR_WIDTH, _POLAR_WIDTH, _PLOT_HEIGHT = 4.4, 1.75, 1.35
@@ -65,32 +41,12 @@ _POLAR_MARGIN = 0.22
 #: A figure of round axes alone.
 _BIG_POLAR, _POLAR_COLUMNS = 2.3, 4
 
-_INK, _PALE = "#222222", "#d0d0d0"
-_TITLE, _TEXT, _SMALL, _SMALLEST = 9.0, 7.0, 6.5, 5.0
-
 #: The hole in a round histogram, as a share of its radius: single bins stay visible around it.
 _HOLE = 0.32
 _RING = 0.07
 
 #: Cells of the colours of the hues, straight and round.
 _STRIP_CELLS, _RING_CELLS = 360, 120
-
-_RC: dict[str, Any] = {
-    "svg.hashsalt": "hpcomp",
-    "svg.fonttype": "path",
-    "pdf.fonttype": 42,
-    "path.simplify": False,
-    "axes.linewidth": 0.6,
-    "axes.unicode_minus": True,
-    "text.usetex": False,
-}
-
-#: For each format, what would otherwise say when and with which version it was made.
-_METADATA: dict[str, dict[str, Any]] = {
-    "svg": {"Date": None, "Creator": "hpcomp"},
-    "png": {"Software": None},
-    "pdf": {"CreationDate": None, "Creator": "hpcomp", "Producer": None},
-}
 
 
 def as_svg(entries: Sequence[Entry], look: Look) -> bytes:
@@ -164,18 +120,10 @@ def _saved(
         raise SettingError(
             f"a figure shows {MOST_IMAGES} images at most, not {len(entries)}: make several"
         )
-    stream = io.BytesIO()
-    with matplotlib.rc_context(), warnings.catch_warnings():
-        # File names may have letters that the font does not have: they become boxes.
-        warnings.filterwarnings("ignore", message="Glyph .* missing from")
-        matplotlib.rcdefaults()
-        matplotlib.rcParams.update(_RC)
-        figure = _Sheet(axis, entries, look, notes, remark).figure
-        figure.savefig(stream, format=format, dpi=PNG_DPI, metadata=_METADATA[format])
-    return stream.getvalue()
+    return saved(lambda: _Sheet(axis, entries, look, notes, remark), format)
 
 
-class _Sheet:
+class _Sheet(Sheet):
     """A figure with a cell for each image, in rows, all on one scale."""
 
     def __init__(
@@ -186,15 +134,13 @@ class _Sheet:
         notes: Sequence[str] = (),
         remark: str = "",
     ) -> None:
+        super().__init__()
         self.axis, self.look, self.remark = axis, look, remark
         self.scale = SCALES[look.scale]
         self.bins = entries[0][1].bins
         shares = [found.shares(look.weight) for _, found in entries]
         self.top = max(float(share.max()) for share in shares) * 1.04 or 1.0
         self.start = axis_start(axis)
-        fonts = Path(matplotlib.get_data_path()) / "fonts" / "ttf"
-        self.font = FontProperties(fname=fonts / "DejaVuSans.ttf")
-        self.bold = FontProperties(fname=fonts / "DejaVuSans-Bold.ttf")
 
         n = len(entries)
         self.straight, self.round = look.axes != "polar", look.axes != "linear"
@@ -213,8 +159,7 @@ class _Sheet:
         cell_width = self._polar_left + (self.polar_size if self.round else 0) + _RIGHT
         above = _ABOVE + (_NOTE if notes else 0)
         cell_height = above + self.plot_height + below
-        self.width, self.height = columns * cell_width, rows * cell_height + _FOOT
-        self.figure = Figure(figsize=(self.width, self.height), facecolor="white")
+        self._open(columns * cell_width, rows * cell_height + _FOOT)
         for number, (label, found) in enumerate(entries):
             row, column = divmod(number, columns)
             left = column * cell_width
@@ -225,7 +170,7 @@ class _Sheet:
                 self._linear(found, left + _LEFT, bottom)
             if self.round:
                 self._polar(found, left + self._polar_left, bottom - polar_below)
-        self._text(self.width / 2, 0.1, self._caption(), size=_SMALL, horizontalalignment="center")
+        self._text(self.width / 2, 0.1, self._caption(), size=SMALL, horizontalalignment="center")
 
     @property
     def _polar_left(self) -> float:
@@ -239,22 +184,6 @@ class _Sheet:
         )
 
     # --- parts; places are inches from the bottom left ---
-
-    def _axes(self, left: float, bottom: float, width: float, height: float, **how: Any) -> Any:
-        place = (left / self.width, bottom / self.height, width / self.width, height / self.height)
-        return self.figure.add_axes(place, **how)
-
-    def _text(self, x: float, y: float, text: str, **how: Any) -> Text:
-        how.setdefault("fontproperties", self.font)
-        size = how.pop("size", _TEXT)
-        made = self.figure.text(
-            x / self.width, y / self.height, text, color=_INK, parse_math=False, **how
-        )
-        made.set_fontsize(size)
-        return made
-
-    def _width_of(self, text: Text) -> float:
-        return float(text.get_window_extent().width / self.figure.dpi)
 
     def _heading(
         self,
@@ -272,7 +201,7 @@ class _Sheet:
         if note:
             self._shorten(self._text(x, top, note), room)
             top += _NOTE
-        title = self._text(x, top, printable(label), fontproperties=self.bold, size=_TITLE)
+        title = self._text(x, top, printable(label), fontproperties=self.bold, size=TITLE)
         self._shorten(title, room)
         total = max(1, found.pixels)
         parts = [
@@ -289,14 +218,6 @@ class _Sheet:
             self._shorten(shares, room)
         self._peaks(found, x, bottom + 0.085, room)
 
-    def _shorten(self, text: Text, room: float) -> None:
-        """Takes letters from the middle until it fits."""
-        whole = text.get_text()
-        kept = len(whole)
-        while self._width_of(text) > room and kept > 4:
-            kept -= 1
-            text.set_text(whole[: -(-kept // 2)] + "…" + whole[len(whole) - kept // 2 :])
-
     def _peaks(self, found: HueHistogram, x: float, y: float, room: float) -> None:
         if not found.peaks:
             words = "no hue stands out" if found.chromatic else "no pixel has a hue"
@@ -312,17 +233,7 @@ class _Sheet:
                 text.remove()
                 self._text(x, y, f"+{left} more")
                 return
-            self.figure.add_artist(
-                Rectangle(
-                    (x / self.width, (y - 0.005) / self.height),
-                    0.085 / self.width,
-                    0.085 / self.height,
-                    facecolor=srgb_hex(peak.rgb),
-                    edgecolor=_INK,
-                    linewidth=0.3,
-                    transform=self.figure.transFigure,
-                )
-            )
+            self._swatch(x, y - 0.005, 0.085, srgb_hex(peak.rgb))
             x += width
 
     def _heights(self, found: HueHistogram) -> Any:
@@ -348,14 +259,14 @@ class _Sheet:
         heights = self._heights(found)[numbers % self.bins]
         rows = self._ticks(self.plot_height)
         for height, _ in rows[1:]:
-            axes.axhline(height, color=_PALE, linewidth=0.4, zorder=0)
+            axes.axhline(height, color=PALE, linewidth=0.4, zorder=0)
         # The outline keeps a single bin visible, however narrow.
         axes.stairs(
             np.where(heights > 0, heights, np.nan),
             edges,
             fill=True,
-            facecolor=_INK,
-            edgecolor=_INK,
+            facecolor=INK,
+            edgecolor=INK,
             linewidth=0.35,
         )
         axes.set_yticks([height for height, _ in rows], [text for _, text in rows])
@@ -392,13 +303,6 @@ class _Sheet:
         colors = hue_colors(self.axis, begins + width / 2)
         axes.add_collection(PolyCollection(corners, facecolors=colors, linewidth=0))
 
-    def _style_ticks(self, axes: Any) -> None:
-        axes.tick_params(length=2.2, width=0.6, pad=1.5, color=_INK)
-        for label in (*axes.get_xticklabels(), *axes.get_yticklabels()):
-            label.set_fontproperties(self.font)
-            label.set_fontsize(_SMALL)
-            label.set_color(_INK)
-
     def _polar(self, found: HueHistogram, left: float, bottom: float) -> None:
         size = self.polar_size - 2 * _POLAR_MARGIN
         axes = self._axes(
@@ -408,20 +312,20 @@ class _Sheet:
         circle = np.radians(np.arange(0, 362, 2))
         for height, share in self._ticks(size / 2 * (1 - _HOLE))[1:]:
             radius = _HOLE + height * (1 - _HOLE)
-            axes.plot(circle, np.full(len(circle), radius), color=_PALE, linewidth=0.4, zorder=0)
+            axes.plot(circle, np.full(len(circle), radius), color=PALE, linewidth=0.4, zorder=0)
             label = axes.text(
-                math.pi / 2, radius, share, color=_INK, zorder=0.5, parse_math=False,
+                math.pi / 2, radius, share, color=INK, zorder=0.5, parse_math=False,
                 horizontalalignment="center", verticalalignment="center",
                 bbox={"facecolor": "white", "linewidth": 0, "pad": 0.4},
             )  # fmt: skip
             label.set_fontproperties(self.font)
-            label.set_fontsize(_SMALLEST)
+            label.set_fontsize(SMALLEST)
         heights = self._heights(found) * (1 - _HOLE)
         axes.add_collection(
             PolyCollection(
                 [self._wedge(k, heights[k]) for k in np.flatnonzero(heights).tolist()],
-                facecolor=_INK,
-                edgecolor=_INK,
+                facecolor=INK,
+                edgecolor=INK,
                 linewidth=0.35,
             )
         )
