@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import ast
+import fcntl
 import os
+import pty
 import stat
+import struct
 import subprocess
 import sys
+import termios
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,6 +23,10 @@ PATIENCE_S = 120
 
 #: What stands at an output before the run; no picture, so that nothing can mistake it for one.
 OLD = b"what stood here"
+
+
+#: Variables that say what a terminal can show.
+TERMINAL = {"NO_COLOR", "FORCE_COLOR", "CLICOLOR", "CLICOLOR_FORCE", "COLUMNS", "LINES", "TERM"}
 
 
 @dataclass(frozen=True)
@@ -135,3 +144,73 @@ class Desk:
         assert run.stdout == b""
         assert snapshot(self.folder.parent) == before
         return lines[0]
+
+
+def on_terminal(
+    desk: Desk, *arguments: object, width: int = 90, **env: str
+) -> tuple[int, str, str]:
+    """(exit code, what a terminal of that width is sent, stderr)."""
+    ours, theirs = pty.openpty()
+    fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 40, width, 0, 0))
+    process = subprocess.Popen(
+        command(*arguments),
+        cwd=desk.folder,
+        stdout=theirs,
+        stderr=subprocess.PIPE,
+        env={**os.environ, **desk.env, "TERM": "xterm", **env},
+    )
+    os.close(theirs)
+    sent = b""
+    try:
+        while data := os.read(ours, 1 << 16):
+            sent += data
+    except OSError:
+        pass  # on Linux, the end
+    os.close(ours)
+    error = process.communicate(timeout=PATIENCE_S)[1]
+    return process.returncode, sent.decode().replace("\r\n", "\n"), error.decode()
+
+
+def loaded(desk: Desk, *arguments: str) -> set[str]:
+    """The modules that a run has imported when it ends."""
+    code = (
+        "import sys\nfrom hpcomp.cli import run\ntry:\n    run(sys.argv[1:])\n"
+        "except SystemExit as end:\n    assert not end.code, end.code\n"
+        "    print('loaded', sorted(sys.modules), file=sys.stderr)\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-Wignore", "-c", code, *arguments],
+        cwd=desk.folder, capture_output=True, check=True,
+    )  # fmt: skip
+    return set(ast.literal_eval(done.stderr.decode().partition("loaded ")[2]))
+
+
+def hidden_matplotlib(desk: Desk) -> list[str]:
+    """For `through`: an environment in which importing matplotlib fails as where there is none."""
+    shadow = desk.temporary.parent / "shadow"
+    shadow.mkdir()
+    (shadow / "matplotlib.py").write_text(
+        "raise ModuleNotFoundError(\"No module named 'matplotlib'\", name='matplotlib')"
+    )
+    return ["env", f"PYTHONPATH={shadow}"]
+
+
+def made_elsewhere(code: str, argument: str, folder: Path) -> set[bytes]:
+    """What `python -c code argument` prints in processes at other times, and in other settings.
+
+    In `folder` is the user's matplotlibrc, and neither hash seed nor locale is the same.
+    """
+    (folder / "matplotlibrc").write_text(
+        "axes.facecolor: red\nimage.cmap: gray\nfont.size: 30\nsvg.fonttype: none\n"
+    )
+    made = set()
+    for seed, time in (("1", "1000000000"), ("2", "")):
+        env = {"PYTHONHASHSEED": seed, "MATPLOTLIBRC": str(folder), "MPLCONFIGDIR": str(folder)}
+        if time:
+            env |= {"SOURCE_DATE_EPOCH": time, "TZ": "Asia/Tokyo", "LC_ALL": "C"}
+        done = subprocess.run(
+            [sys.executable, "-c", code, argument], capture_output=True, env=env, check=True
+        )
+        assert done.stderr == b""
+        made.add(done.stdout)
+    return made

@@ -1,27 +1,30 @@
 """`hpcomp hues` as a shell meets it: formats, terminals and pipes, bad input, what it leaves."""
 
-import ast
-import fcntl
 import json
 import os
-import pty
-import struct
 import subprocess
-import sys
-import termios
 
 import exrfile
 import numpy as np
 import pngfile
 import pytest
-from command import OLD, PATIENCE_S, Desk, command, shell, snapshot
+from command import (
+    OLD,
+    PATIENCE_S,
+    TERMINAL,
+    Desk,
+    command,
+    hidden_matplotlib,
+    loaded,
+    on_terminal,
+    shell,
+    snapshot,
+)
 
 import hpcomp
 from hpcomp.report.formats import REPORT_FORMATS
 
 FIGURES = [name for name, row in REPORT_FORMATS.items() if row.module == ".figure"]
-#: Variables that say what a terminal can show.
-TERMINAL = {"NO_COLOR", "FORCE_COLOR", "CLICOLOR", "CLICOLOR_FORCE", "COLUMNS", "LINES", "TERM"}
 
 
 def picture(*colors, size=(12, 8)):
@@ -41,29 +44,6 @@ def desk(tmp_path, monkeypatch):
     desk.put("b.png", picture((0, 0, 255), (255, 0, 0)))
     exrfile.write(desk / "c.exr", exrfile.planes("RGBA", 20, 90))
     return desk
-
-
-def on_terminal(desk, *arguments, width=90, **env):
-    """(exit code, what a terminal of that width is sent, stderr)."""
-    ours, theirs = pty.openpty()
-    fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 40, width, 0, 0))
-    process = subprocess.Popen(
-        command(*arguments),
-        cwd=desk.folder,
-        stdout=theirs,
-        stderr=subprocess.PIPE,
-        env={**os.environ, **desk.env, "TERM": "xterm", **env},
-    )
-    os.close(theirs)
-    sent = b""
-    try:
-        while data := os.read(ours, 1 << 16):
-            sent += data
-    except OSError:
-        pass  # on Linux, the end
-    os.close(ours)
-    error = process.communicate(timeout=PATIENCE_S)[1]
-    return process.returncode, sent.decode().replace("\r\n", "\n"), error.decode()
 
 
 def expected(name, *images, **look):
@@ -362,12 +342,7 @@ def test_closed_pipe(desk, name):
 
 @pytest.fixture
 def without_matplotlib(desk):
-    """An environment in which importing matplotlib fails as where there is none."""
-    (desk.temporary.parent / "shadow").mkdir()
-    (desk.temporary.parent / "shadow" / "matplotlib.py").write_text(
-        "raise ModuleNotFoundError(\"No module named 'matplotlib'\", name='matplotlib')"
-    )
-    return ["env", f"PYTHONPATH={desk.temporary.parent / 'shadow'}"]
+    return hidden_matplotlib(desk)
 
 
 @pytest.mark.parametrize("name", FIGURES)
@@ -381,20 +356,6 @@ def test_figures_without_matplotlib_say_what_to_install(desk, without_matplotlib
 def test_the_rest_does_without_matplotlib(desk, without_matplotlib, name):
     run = desk.makes("hues", "a.png", "--format", name, through=without_matplotlib)
     assert run.stdout == expected(name, desk / "a.png")
-
-
-def loaded(desk, *arguments):
-    """The modules that a run has imported when it ends."""
-    code = (
-        "import sys\nfrom hpcomp.cli import run\ntry:\n    run(sys.argv[1:])\n"
-        "except SystemExit as end:\n    assert not end.code, end.code\n"
-        "    print('loaded', sorted(sys.modules), file=sys.stderr)\n"
-    )
-    done = subprocess.run(
-        [sys.executable, "-Wignore", "-c", code, *arguments],
-        cwd=desk.folder, capture_output=True, check=True,
-    )  # fmt: skip
-    return set(ast.literal_eval(done.stderr.decode().partition("loaded ")[2]))
 
 
 def test_what_is_loaded(desk):

@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from ..errors import HpcompError, InputError, MismatchError, SettingError
+from ..errors import HpcompError, InputError, MismatchError
 from ..histogram import DEFAULT_ACHROMATIC, DEFAULT_BINS, FEWEST_BINS, MOST_BINS, WEIGHTS
 from ..outputfile import STDOUT, whole_output
 from ..report.formats import REPORT_FORMATS, put, report_format
@@ -17,6 +17,7 @@ from ..spaces import SPACES
 from . import terminal
 from .messages import say
 from .options import LayerCommand, message_options, print_bytes
+from .reportoptions import clobber_option, report_options
 from .signals import load
 
 _FORMATS = "\n".join(f"  {row.name:<6} {row.title}" for row in REPORT_FORMATS.values())
@@ -51,19 +52,7 @@ only written if it has all. Figures need matplotlib, which the extra `plot` brin
 @click.argument(
     "images", metavar="IMAGE...", nargs=-1, required=True, type=click.Path(readable=False)
 )
-@click.option(
-    "-o",
-    "--output",
-    metavar="PATH",
-    type=click.Path(readable=False),
-    help="Write here, in the format of the ending: "
-    f"{', '.join(row.ending for row in REPORT_FORMATS.values())}. Stdout if not given, or -.",
-)
-@click.option(
-    "--format",
-    type=click.Choice(list(REPORT_FORMATS)),
-    help="Format of the report, whatever the ending; text on stdout if not given.",
-)
+@report_options(REPORT_FORMATS)
 @click.option(
     "--bins",
     type=int,
@@ -108,12 +97,7 @@ only written if it has all. Figures need matplotlib, which the extra `plot` brin
     show_default=True,
     help="Axes of a figure: straight, round, or both.",
 )
-@click.option(
-    "--clobber/--no-clobber",
-    default=True,
-    show_default=True,
-    help="Replace an existing output.",
-)
+@clobber_option
 @click.option(
     "--nonfinite",
     type=click.Choice(["error", "zero", "keep"]),
@@ -145,8 +129,7 @@ def command(
 ) -> None:
     target = STDOUT if output is None else output
     chosen = report_format(target, format)
-    if output is None and not chosen.on_terminal and terminal.is_terminal():
-        raise SettingError(f"a terminal shows no {chosen.name}: name a file with -o, or a pipe")
+    terminal.check_shows(chosen, output)
     look = Look(weight=weight, scale=scale, axes=axes)
     if target == STDOUT:
         look = terminal.look(look)

@@ -6,8 +6,13 @@ import os
 import shutil
 import sys
 from dataclasses import replace
+from typing import TypeVar
 
+from ..errors import SettingError
+from ..report.formats import ReportFormat
 from ..report.look import Look
+
+L = TypeVar("L", bound=Look)
 
 
 def shows_color() -> bool:
@@ -32,7 +37,13 @@ def is_terminal() -> bool:
     return sys.stdout is not None and sys.stdout.isatty()
 
 
-def look(asked: Look) -> Look:
+def check_shows(format: ReportFormat, output: str | None) -> None:
+    """`SettingError` where nobody asked for what a terminal cannot show."""
+    if output is None and not format.on_terminal and is_terminal():
+        raise SettingError(f"a terminal shows no {format.name}: name a file with -o, or a pipe")
+
+
+def look(asked: L) -> L:
     """The look asked for, as stdout can show it."""
     return replace(
         asked,

@@ -13,6 +13,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from ..errors import OutputError
 
 # What it has to say of its caches is not for those who ask for a figure.
@@ -37,6 +39,9 @@ INK, PALE = "#222222", "#d0d0d0"
 #: Sizes of letters, in points.
 TITLE, TEXT, SMALL, SMALLEST = 9.0, 7.0, 6.5, 5.0
 
+#: What is left of a text that has no room.
+_FEWEST_LETTERS = 4
+
 _RC: dict[str, Any] = {
     "svg.hashsalt": "hpcomp",
     "svg.fonttype": "path",
@@ -58,7 +63,9 @@ _METADATA: dict[str, dict[str, Any]] = {
 def saved(draw: Callable[[], Sheet], format: str) -> bytes:
     """The file of the sheet that `draw` makes: svg, png or pdf."""
     stream = io.BytesIO()
-    with matplotlib.rc_context(), warnings.catch_warnings():
+    # SVG names its parts after numbers as numpy prints them, which other libraries change.
+    plain = np.printoptions(legacy=False)
+    with plain, matplotlib.rc_context(), warnings.catch_warnings():
         # File names may have letters that the font does not have: they become boxes.
         warnings.filterwarnings("ignore", message="Glyph .* missing from")
         matplotlib.rcdefaults()
@@ -103,10 +110,18 @@ class Sheet:
     def _shorten(self, text: Text, room: float) -> None:
         """Takes letters from the middle until it fits."""
         whole = text.get_text()
-        kept = len(whole)
-        while self._width_of(text) > room and kept > 4:
-            kept -= 1
-            text.set_text(whole[: -(-kept // 2)] + "…" + whole[len(whole) - kept // 2 :])
+        if self._width_of(text) <= room:
+            return
+
+        def keep(letters: int) -> bool:
+            text.set_text(whole[: -(-letters // 2)] + "…" + whole[len(whole) - letters // 2 :])
+            return self._width_of(text) <= room
+
+        least, too_many = min(_FEWEST_LETTERS, len(whole)), len(whole)
+        while too_many - least > 1:
+            middle = (least + too_many) // 2
+            least, too_many = (middle, too_many) if keep(middle) else (least, middle)
+        keep(least)
 
     def _swatch(self, x: float, y: float, size: float, color: str) -> None:
         """A square of that colour."""

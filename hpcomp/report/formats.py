@@ -54,23 +54,27 @@ REPORT_FORMATS: dict[str, ReportFormat] = {
 
 
 def report_format(
-    output: str, name: str | None = None, otherwise: str = ", or give --format"
+    output: str,
+    name: str | None = None,
+    otherwise: str = ", or give --format",
+    formats: Mapping[str, ReportFormat] = REPORT_FORMATS,
 ) -> ReportFormat:
     """The format of that name, else that of the output's ending; text for stdout.
 
-    `otherwise`: what else can be done about an ending that names none. Errors: `SettingError`.
+    `otherwise`: what else can be done about an ending that names none. `formats`: those to choose
+    from. Errors: `SettingError`.
     """
     if name is not None:
-        if name not in REPORT_FORMATS:
-            raise unknown_name("format", name, REPORT_FORMATS)
-        return REPORT_FORMATS[name]
+        if name not in formats:
+            raise unknown_name("format", name, formats)
+        return formats[name]
     if output == STDOUT:
-        return REPORT_FORMATS["text"]
+        return formats["text"]
     ending = os.path.splitext(output)[1].lower()
-    for row in REPORT_FORMATS.values():
+    for row in formats.values():
         if row.ending == ending:
             return row
-    endings = ", ".join(row.ending for row in REPORT_FORMATS.values())
+    endings = ", ".join(row.ending for row in formats.values())
     raise SettingError(f"{output}: its ending names no format: end it in {endings}{otherwise}")
 
 

@@ -31,7 +31,12 @@ NARROWEST, WIDEST = 24, 186
 
 _EIGHTHS = " ▁▂▃▄▅▆▇█"
 #: What stands for characters that an encoding does not have.
-_ASCII = str.maketrans({**dict(zip("▁▂▃▄▅▆▇█│┤└─┴▀■", "___==###||+-+##", strict=True)), "°": "deg"})
+_ASCII = str.maketrans(
+    {
+        **dict(zip("▁▂▃▄▅▆▇█│┤└─┴▀■", "___==###||+-+##", strict=True)),
+        **{"°": "deg", "→": "->", "…": "..."},
+    }
+)
 
 
 def as_text(entries: Sequence[Entry], look: Look) -> bytes:
@@ -41,7 +46,11 @@ def as_text(entries: Sequence[Entry], look: Look) -> bytes:
     blocks = ["\n".join(_lines(label, found, chart, look)) for label, found in entries]
     if any(found.chromatic for _, found in entries):
         blocks.append(chart.caption)
-    text = "\n\n".join(blocks) + "\n"
+    return encoded("\n\n".join(blocks) + "\n", look)
+
+
+def encoded(text: str, look: Look) -> bytes:
+    """Text in the encoding of the look, with plain letters where that has no others."""
     try:
         return text.encode(look.encoding)
     except UnicodeEncodeError:
@@ -56,7 +65,7 @@ def _lines(label: str, histogram: HueHistogram, chart: _Chart, look: Look) -> li
     for peak in histogram.peaks:
         color = srgb_hex(peak.rgb)
         lines.append(
-            f"  {_colored('■', color, look)} {peak.hue:5.1f}°  {percent(peak.share):>6} of pixels, "
+            f"  {colored('■', color, look)} {peak.hue:5.1f}°  {percent(peak.share):>6} of pixels, "
             f"{percent(peak.chroma_share):>6} of chroma, {color}"
         )
     return [*lines, f"  {concentration_sentence(histogram)}"]
@@ -183,10 +192,11 @@ class _Chart:
                 painted.append(_escape(color))
                 last = color
             painted.append(cell)
-        return "".join(painted).rstrip() + (_PLAIN if last else "")
+        return "".join(painted).rstrip() + (PLAIN if last else "")
 
 
-_PLAIN = "\x1b[0m"
+#: Ends a colour on a terminal.
+PLAIN = "\x1b[0m"
 
 
 def _escape(color: str) -> str:
@@ -194,5 +204,6 @@ def _escape(color: str) -> str:
     return f"\x1b[38;2;{red};{green};{blue}m"
 
 
-def _colored(text: str, color: str, look: Look) -> str:
-    return f"{_escape(color)}{text}{_PLAIN}" if look.color else text
+def colored(text: str, color: str, look: Look) -> str:
+    """Text in the colour #rrggbb, where the look has colours."""
+    return f"{_escape(color)}{text}{PLAIN}" if look.color else text
