@@ -15,6 +15,8 @@ Chuang, Weiskopf, Möller: Hue-Preserving Color Blending, IEEE TVCG 15(6), 2009.
     write_hue_report  histograms -> text, data, a figure or a page, as `hpcomp hues`
     explain           how one pixel of a stack of files comes about
     check             a picture against the layers it was made from, by rules
+    palette           what the colours of labels blend to, and what may go wrong with them
+    write_palette_report  that as text, data or a figure, as `hpcomp palette`
 
 Names are imported on first use, so that importing the package costs nothing.
 """
@@ -49,6 +51,8 @@ if TYPE_CHECKING:
     from .measures import StackMeasures as StackMeasures
     from .measures import stack_measures as stack_measures
     from .orders import ORDERS as ORDERS
+    from .palettes import Palette as Palette
+    from .palettes import palette as palette
     from .pipeline import StackResult as StackResult
     from .pipeline import info as info
     from .pipeline import read_layer as read_layer
@@ -56,6 +60,7 @@ if TYPE_CHECKING:
     from .pipeline import write_image as write_image
     from .porter_duff import OPERATORS as OPERATORS
     from .report.formats import write_hue_report as write_hue_report
+    from .report.paletteformats import write_palette_report as write_palette_report
     from .spaces import SPACES as SPACES
     from .stackfile import LayerSpec as LayerSpec
 
@@ -85,6 +90,8 @@ _HOME = {
     "StackMeasures": ".measures",
     "stack_measures": ".measures",
     "ORDERS": ".orders",
+    "Palette": ".palettes",
+    "palette": ".palettes",
     "StackResult": ".pipeline",
     "info": ".pipeline",
     "read_layer": ".pipeline",
@@ -92,6 +99,7 @@ _HOME = {
     "write_image": ".pipeline",
     "OPERATORS": ".porter_duff",
     "write_hue_report": ".report.formats",
+    "write_palette_report": ".report.paletteformats",
     "SPACES": ".spaces",
     "LayerSpec": ".stackfile",
 }

@@ -25,7 +25,7 @@ from hpcomp.cli import cli
 from hpcomp.encoding import COLOR_INTEROP_IDS, COLOR_SPACES
 from hpcomp.errors import EXIT_CODE_MEANINGS
 from hpcomp.porter_duff import OPERATORS, Operator
-from hpcomp.report import huedata, stackdata
+from hpcomp.report import huedata, palettedata, stackdata
 
 ROOT = Path(__file__).resolve().parent.parent
 README = ROOT / "README.md"
@@ -457,12 +457,12 @@ def _provenance_section() -> list[str]:
 
 def _hues_environment() -> list[str]:
     return [
-        *definition(bold("NO_COLOR"), "Set to anything: a chart on the terminal has no colours."),
+        *definition(bold("NO_COLOR"), "Set to anything: text on the terminal has no colours."),
         *definition(
             f"{bold('FORCE_COLOR')}, {bold('CLICOLOR_FORCE')}",
-            "Set to anything but 0: a chart has colours in a pipe, too. NO_COLOR goes before.",
+            "Set to anything but 0: text has colours in a pipe, too. NO_COLOR goes before.",
         ),
-        *definition(bold("COLUMNS"), "How wide a chart is, where it is not the terminal's width."),
+        *definition(bold("COLUMNS"), "How wide text is, where it is not the terminal's width."),
     ]
 
 
@@ -502,6 +502,10 @@ EXTRA_SECTIONS: dict[str, list[tuple[str, Callable[[], list[str]]]]] = {
         ("ENVIRONMENT", _hues_environment),
         ("JSON", lambda: _json_section(huedata.JSON_KEYS)),
         ("CSV", _csv_section),
+    ],
+    "hpcomp palette": [
+        ("ENVIRONMENT", _hues_environment),
+        ("JSON", lambda: _json_section(palettedata.JSON_KEYS)),
     ],
     "hpcomp stack": [
         ("OPERATORS", _operator_section),

@@ -547,6 +547,12 @@ STATEMENTS = {
                 "Errors:", "SettingError", "InputError", "MismatchError", "Warnings:"],
     "check": ["`image`", "`layers`", "`hues`", "`max_foreign`", "`max_grey`", "`require_hue`",
               "[0, 1]", "degrees", "Returns:", "Errors:", "SettingError", "Warnings:"],
+    "palette": ["`colors`", "`layers`", "`background`", "`opacity`", "`rules`", "`close_hues`",
+                "`least_difference`", "`grey_opacity`", "`achromatic`", "linear", "degrees",
+                "0 to 1", "Returns:", "Errors:", "SettingError", "InputError", "MismatchError",
+                "Chuang et al. 2009"],
+    "write_palette_report": ["`palette`", "`output`", "`format`", "`figure`", "`clobber`",
+                             "hpcomp palette", "Errors:", "SettingError", "OutputError"],
 }  # fmt: skip
 
 
@@ -681,6 +687,9 @@ code: int = hpcomp.InputError.exit_code
 hues: hpcomp.HueHistogram = hpcomp.hue_histogram([red]) + hpcomp.read_hues("a.png", bins=360)
 places: list[float] = [peak.hue for peak in sum([hues, hues], hues).peaks]
 hpcomp.write_hue_report({"a": hues}, Path("hues.svg"), axes="polar")
+palette: hpcomp.Palette = hpcomp.palette(["#f00", (0.0, 0.5, 1.0)], layers=["a.png"], space="xyz")
+apart: list[float | None] = [pair.angle for pair in palette.soonest]
+hpcomp.write_palette_report(palette, Path("palette.svg"), figure="discs")
 
 # Each of these is wrong, and a checker that saw no types would call the comment unused.
 hpcomp.stack([red], "out.png")  # type: ignore[list-item]

@@ -19,6 +19,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "check": ("check", "Fail if a picture has lost the hues of its layers."),
     "info": ("info", "Say what image files hold and how they will be read."),
     "hues": ("hues", "Count the hues of images: how much of each, and which stand out."),
+    "palette": ("palette", "Say what the colours of labels blend to, and what may go wrong."),
     "completion": ("completion", "Print the completion script of a shell."),
 }
 

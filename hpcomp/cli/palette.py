@@ -1,0 +1,179 @@
+"""`hpcomp palette`: what labels blend to, as text, data or a figure, with what may be wrong."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable
+from inspect import signature
+from typing import Any
+
+import click
+
+from ..compositing import stack_rules
+from ..errors import ExitCode, SettingError
+from ..histogram import DEFAULT_ACHROMATIC
+from ..outputfile import STDOUT, whole_output
+from ..palettes import (
+    DEFAULT_CLOSE_HUES,
+    DEFAULT_GREY_OPACITY,
+    DEFAULT_LEAST_DIFFERENCE,
+    DEFAULT_OPACITY,
+)
+from ..report.formats import put
+from ..report.paletteformats import FIGURES, PALETTE_FORMATS, PaletteLook, load, palette_format
+from . import signals, terminal
+from .messages import say
+from .options import F, LayerCommand, message_options, print_bytes
+from .reportoptions import clobber_option, report_options
+from .stackoptions import STACK_OPTIONS, stack_options
+
+#: What is about single layers or about the result, and not about how two colours are added.
+_OF_LAYERS = ("op", "opacity", "background", "exposure")
+_RULES = [
+    n for n in signature(stack_rules).parameters if n in STACK_OPTIONS and n not in _OF_LAYERS
+]
+
+_FORMATS = "\n".join(f"  {row.name:<6} {row.title}" for row in PALETTE_FORMATS.values())
+
+PALETTE_HELP = f"""Say what the colours of labels blend to, and what may go wrong.
+
+COLOR is a CSS hex colour, or NAME=COLOR; two labels at least, 24 at most. Quote them: in a shell an
+unquoted # begins a comment. Without the # it works as well. --from takes labels from layer files.
+
+Every label is put over every other one at opacities from 0 to 1, in traditional blending and with
+⊕. For each two: the angle between their hues; at how many of the opacities the blend has a foreign
+hue, which is neither label's; and where it has least chroma, with how much of what the two bring is
+left there. The pair that goes grey at the least opacity comes first.
+
+The figure has a bar for each pair, with its hue alone below it, as the paper's Figure 4; and as its
+Figure 6 discs of all that any stack of the labels can give at any opacities, seen from above:
+angle is hue, radius chroma. Figures need matplotlib, which the extra `plot` brings. The formats:
+
+\b
+{_FORMATS}
+
+What may go wrong, each a finding that says what is measured and what the limit is:
+
+\b
+  no-hue      the label is grey: only its luminance tells it
+  close-hues  two hues are hard to tell apart once pale, or even count as equal
+  vanishes    the label can hardly be seen on the background
+  hue-lost    on the background the label does not keep its hue
+  goes-grey   a little of one label turns the other one grey
+
+Findings change the exit code only with --strict.
+
+\b
+  hpcomp palette '#e41a1c' '#377eb8' '#ffdd00'
+  hpcomp palette fault=#e41a1c streams=#377eb8 band=#ffdd00 -o palette.svg
+  hpcomp palette --from roads.png --from rivers.exr --background '#202020' --strict
+"""
+
+
+def _limit(name: str, default: float, metavar: str, text: str) -> Callable[[F], F]:
+    """An option that says how something is judged."""
+    return click.option(
+        name, type=float, default=default, show_default=True, metavar=metavar, help=text
+    )
+
+
+@click.command(
+    "palette", cls=LayerCommand, help=PALETTE_HELP, short_help=PALETTE_HELP.partition("\n")[0]
+)
+@click.argument("colors", metavar="[COLOR...]", nargs=-1)
+@click.option(
+    "--from",
+    "layers",
+    multiple=True,
+    metavar="LAYER",
+    type=click.Path(readable=False),
+    help="Take labels from this file, in the LAYER syntax: one for each peak of its hues, in the "
+    "mean colour of the peak. May be repeated.",
+)
+@report_options(PALETTE_FORMATS)
+@click.option(
+    "--figure",
+    type=click.Choice(list(FIGURES)),
+    default=PaletteLook.figure,
+    show_default=True,
+    help="Parts of a figure: all, or the bars or the discs alone.",
+)
+@stack_options(*_RULES)
+@click.option(
+    "--background",
+    default="#ffffff",
+    show_default=True,
+    metavar="COLOR",
+    help="What labels are seen on.",
+)
+@_limit("--opacity", DEFAULT_OPACITY, "ALPHA", "How opaque a label is on the background, 0 to 1.")
+@_limit(
+    "--least-difference",
+    DEFAULT_LEAST_DIFFERENCE,
+    "DISTANCE",
+    "A label vanishes if it differs less than this from the background: a distance in Oklab, "
+    "where black to white is 1 and 0.02 is just noticeable side by side.",
+)
+@_limit(
+    "--close-hues",
+    DEFAULT_CLOSE_HUES,
+    "DEGREES",
+    "Hues are close if their p vectors are less than this apart, 0 to 180.",
+)
+@_limit(
+    "--grey-opacity",
+    DEFAULT_GREY_OPACITY,
+    "ALPHA",
+    "A pair goes grey too soon if the front label does it at less opacity than this, 0 to 1.",
+)
+@_limit(
+    "--achromatic",
+    DEFAULT_ACHROMATIC,
+    "SATURATION",
+    "Colours of less saturation, 0 to 1, have no hue.",
+)
+@clobber_option
+@click.option(
+    "--strict",
+    is_flag=True,
+    help="End with exit code 6 if there is a finding; treat warnings as errors.",
+)
+@message_options
+@click.pass_context
+def command(
+    ctx: click.Context,
+    /,
+    colors: tuple[str, ...],
+    layers: tuple[str, ...],
+    output: str | None,
+    format: str | None,
+    figure: str,
+    clobber: bool,
+    **options: Any,
+) -> None:
+    if len(colors) < 2 and not layers:
+        raise SettingError(
+            f"{'one colour' if colors else 'no colours'}: give two or more, and quote '#…', since "
+            "in a shell an unquoted # begins a comment; e41a1c without # works as well"
+        )
+    palettes, data = signals.load("hpcomp.palettes"), signals.load("hpcomp.report.palettedata")
+    target = STDOUT if output is None else output
+    chosen = palette_format(target, format)
+    terminal.check_shows(chosen, output)
+    look = PaletteLook(figure=figure)
+    if target == STDOUT:
+        look = terminal.look(look)
+    render = load(chosen)
+    signals.load("hpcomp.imagehues").images_to_measure(layers, target)
+    with contextlib.ExitStack() as opened:
+        place = opened.enter_context(whole_output(target, clobber=clobber)) if output else ""
+        found = palettes.palette(colors, layers=layers, **options)
+        content = render(found, look)
+        if target == STDOUT:
+            print_bytes(content)
+        else:
+            put(place, content)
+    if options["strict"] and found.findings:
+        for finding in found.findings:
+            say(f"hpcomp: palette: {finding.kind}: {data.sentence(found, finding)}")
+        ctx.exit(int(ExitCode.CHECK))
