@@ -186,6 +186,7 @@ class TestEngineIsTheOracle:
         job["layers"] = [
             tuple(float(np.float32(component)) for component in layer) for layer in job["layers"]
         ]
+        assume(is_decided(**job))
         size = size_of(job["layers"], job["background"])
         expected = oracle.composite_in(space, **job)
         assert_near(run(composite, job, np.float32, space=space), expected, FLOAT32, size)
