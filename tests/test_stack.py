@@ -547,7 +547,7 @@ def test_exposure(tmp_path, three, stops):
 
 
 @pytest.mark.parametrize("order", [*ORDERS, "0,1,2", "1,2,0", (2, 1, 0)], ids=str)
-@pytest.mark.parametrize("blending", ["hue-preserving", "traditional"])
+@pytest.mark.parametrize("blending", ["hue-preserving", "traditional", "foremost"])
 def test_orders_are_those_of_the_engine(tmp_path, three, order, blending):
     """Bit by bit what `composite` makes of the pixels, which the oracle is held against."""
     paths, layers = three
