@@ -2,8 +2,7 @@
 
 Both have the same face: `NAME`, and `start(rules, width, height, dtype)` for a strip, whose `add`
 takes layers, whose `result` gives samples, and whose `nonfinite` counts pixels with NaN or Inf; and
-the module named in `MEASURING`, whose `findings` say what blending did to the hues of a strip, if
-it is one of `MEASURED_BLENDINGS`.
+the module named in `MEASURING`, whose `findings` say what blending did to the hues of a strip.
 """
 
 from __future__ import annotations
@@ -88,11 +87,9 @@ def findings(
 ) -> tuple[StackFindings, Provenance | None]:
     """What the active engine finds of a strip, all its layers bottom first.
 
-    The reference finds it where the kernel does not measure that space or blending.
+    The kernel measures in linear spaces alone: the reference does in the others.
     """
-    chosen = active()
-    if not rules.space.linear or rules.blending.name not in chosen.MEASURED_BLENDINGS:
-        chosen = reference
+    chosen = active() if rules.space.linear else reference
     found: tuple[StackFindings, Provenance | None] = import_module(chosen.MEASURING).findings(
         rules, settings, bins, strips, width, height, with_provenance
     )

@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .addition import BLENDINGS
 from .compositing import Reduction, StackRules
 from .encoding import Losses
 from .gamut import bounds_of, colors_within
@@ -26,8 +25,6 @@ NAME = "reference"
 DECODES_IN_NUMPY = True
 #: Where its `findings` are, with all that they import.
 MEASURING = "hpcomp.findings"
-#: The blendings that those know.
-MEASURED_BLENDINGS = tuple(BLENDINGS)
 
 #: Pixels that are composited at a time, so that a few planes of them stay in the L2 cache.
 BLOCK_PIXELS = 16_384

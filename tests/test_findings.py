@@ -124,7 +124,7 @@ class TestAgreement:
         assert found.result.occupied > 100
 
     @pytest.mark.parametrize("order", ORDERS)
-    @pytest.mark.parametrize("blending", kernel.MEASURED_BLENDINGS)
+    @pytest.mark.parametrize("blending", BLENDING_NAMES)
     @pytest.mark.parametrize("op", OPERATOR_NAMES)
     def test_operator_blending_order(self, op, blending, order):
         rules = stack_rules(4, op=op, blending=blending, order=order)

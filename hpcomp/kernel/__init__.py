@@ -30,8 +30,6 @@ NAME = "kernel"
 DECODES_IN_NUMPY = False
 #: Where its `findings` are, with all that they import.
 MEASURING = "hpcomp.kernel.measuring"
-#: The blendings that those know.
-MEASURED_BLENDINGS = ("hue-preserving", "traditional")
 
 #: Chooses an instruction set by name; the tests compare them.
 LEVEL_VARIABLE = "HPCOMP_KERNEL_LEVEL"

@@ -37,6 +37,7 @@ HPCOMP_INLINE float length(float x, float y) { return __builtin_sqrtf(x * x + y 
 struct Block {
     const Rules &rules;
     const MeasureRules &measures;
+    const Layer *stack;     // who is behind whom
     int n;                  // pixels
     int layers;             // the number of the background, too
     float *p, *size;        // (layers + 1, 2, kBlock) and (layers + 1, kBlock): terms and |t|
@@ -206,7 +207,7 @@ void fold(const Block &block, bool upward, float *p0, float *p1) {
     const Rules rules = block.rules;
     const auto add_term = [&](int turn, int k) {
         if (turn > 0) {
-            add(rules, block.n, p0, p1, block.x(k), block.y(k));
+            add(rules, block.n, p0, p1, block.x(k), block.y(k), k == block.layers || block.stack[k].behind);
         } else {
             std::memcpy(p0, block.x(k), sizeof(Plane));
             std::memcpy(p1, block.y(k), sizeof(Plane));
@@ -234,7 +235,7 @@ void reduce(const Block &block, float *scratch, float *p0, float *p1) {
     std::memcpy(p0, p, sizeof(Plane));
     std::memcpy(p1, p + kBlock, sizeof(Plane));
     if (block.actives && block.active[block.actives - 1] == count)
-        add(block.rules, block.n, p0, p1, block.x(count), block.y(count));
+        add(block.rules, block.n, p0, p1, block.x(count), block.y(count), true);
 }
 
 bool is_nothing(const float *red, const float *green, const float *blue, const float *alpha, int n) {
@@ -248,11 +249,14 @@ bool is_nothing(const float *red, const float *green, const float *blue, const f
 void measure_layer(const Rules &rules, const MeasureRules &measures, const Layer &layer, int x, int y,
                    int n, Hues hues, float *luminance, float *p0, float *p1, float *alpha) {
     Plane red, green, blue, chroma;
-    // Lanes beyond the row take part in the reduction, and must be harmless.
-    std::memset(p0, 0, sizeof(Plane));
-    std::memset(p1, 0, sizeof(Plane));
     load(layer, x, y, n, red, green, blue, alpha);
-    if (is_nothing(red, green, blue, alpha, n)) {
+    const bool nothing = is_nothing(red, green, blue, alpha, n);
+    if (nothing || n < kBlock) {
+        // Lanes beyond the row take part in the reduction, and must be harmless.
+        std::memset(p0, 0, sizeof(Plane));
+        std::memset(p1, 0, sizeof(Plane));
+    }
+    if (nothing) {
         hues.others[kTransparent] += n;
         std::memset(luminance, 0, sizeof(Plane));
         return;
@@ -262,46 +266,52 @@ void measure_layer(const Rules &rules, const MeasureRules &measures, const Layer
     add_hues(measures, n, red, green, blue, alpha, chroma, hues);
 }
 
-// Finds the pixels whose terms can be measured, and takes the chroma from the others.
-int find_unknown(int terms, int n, float *p, const float *luminance, float *sum, float *known) {
-    for (int i = 0; i < n; ++i) known[i] = 1;
-    for (int k = 0; k < terms; ++k) {
-        const float *p0 = p + int64_t(k) * 2 * kBlock, *of = luminance + k * kBlock;
-        for (int i = 0; i < n; ++i) {
-            const bool measurable = (magnitude(of[i]) < kLargestMeasured) &
-                                    (magnitude(p0[i]) < kLargestMeasured) &
-                                    (magnitude(p0[kBlock + i]) < kLargestMeasured);
-            known[i] = measurable ? known[i] : 0.0f;
-        }
-    }
-    int unknown = 0;
-    for (int i = 0; i < n; ++i) unknown += known[i] == 0;
-    if (unknown == 0) return 0;
-    for (int k = 0; k < terms; ++k) {
-        float *p0 = p + int64_t(k) * 2 * kBlock, *p1 = p0 + kBlock;
-        for (int i = 0; i < n; ++i)
-            if (known[i] == 0) p0[i] = p1[i] = 0;
-    }
-    for (int i = 0; i < n; ++i) sum[i] = known[i] == 0 ? 0.0f : sum[i];
-    return unknown;
-}
-
-// Sizes of the terms, and which of them are anything here.
-void find_active(Block &block, float *total) {
+// Sizes of the terms, and which of them are anything here. Returns whether all can be measured.
+bool find_active(Block &block, const float *luminance, Row total) {
+    const uint32_t largest = bits_of(kLargestMeasured) - 1, sign = 0x80000000u;
+    uint32_t beyond = 0;
+    block.actives = 0;
     for (int i = 0; i < block.n; ++i) total[i] = 0;
     for (int k = 0; k <= block.layers; ++k) {
-        const float *p0 = block.x(k), *p1 = block.y(k);
-        float *size = block.size + k * kBlock;
+        ConstRow p0 = block.x(k), p1 = block.y(k), of = luminance + k * kBlock;
+        Row size = block.size + k * kBlock;
         uint32_t any = 0;
         for (int i = 0; i < block.n; ++i) {
             size[i] = length(p0[i], p1[i]);
             total[i] += size[i];
+            const uint32_t a = bits_of(p0[i]) & ~sign, b = bits_of(p1[i]) & ~sign;
             // Not of its size: the square of what is very small is 0.
-            any |= bits_of(p0[i]) | bits_of(p1[i]);
+            any |= a | b;
+            beyond |= (largest - a) | (largest - b) | (largest - (bits_of(of[i]) & ~sign));
         }
-        if (any & 0x7fffffffu) block.active[block.actives++] = k;
+        if (any) block.active[block.actives++] = k;
     }
     block.small = all_small(block.n, total);
+    return (beyond & sign) == 0;
+}
+
+// Takes the chroma and the luminance from the pixels that cannot be measured, and makes their alpha
+// NaN: they are still pixels of the histograms. Returns how many.
+int take_out_unknown(int terms, int n, float *p, const float *luminance, float *sum, float *alpha) {
+    int unknown = 0;
+    for (int i = 0; i < n; ++i) {
+        bool known = true;
+        for (int k = 0; k < terms; ++k) {
+            const float *p0 = p + int64_t(k) * 2 * kBlock + i;
+            known &= (magnitude(luminance[k * kBlock + i]) < kLargestMeasured) &
+                     (magnitude(p0[0]) < kLargestMeasured) &
+                     (magnitude(p0[kBlock]) < kLargestMeasured);
+        }
+        if (known) continue;
+        ++unknown;
+        for (int k = 0; k < terms; ++k) {
+            float *p0 = p + int64_t(k) * 2 * kBlock + i;
+            p0[0] = p0[kBlock] = 0;
+        }
+        sum[i] = 0;
+        alpha[i] = float_of(0x7fc00000u);
+    }
+    return unknown;
 }
 
 // How many pixels' survivor depends on the order; `support` is that of the stack's own.
@@ -345,10 +355,13 @@ void measure(const Rules &rules, const MeasureRules &measures, const Layer *laye
     const auto hues_of = [&](int k) {
         return Hues{found->hues + k * hue_rows, found->others + k * kOthers};
     };
+    float *below = p + int64_t(count) * 2 * kBlock;
+    std::memset(below, 0, 2 * sizeof(Plane));
+    std::memset(luminance + count * kBlock, 0, sizeof(Plane));
     for (int y = 0; y < height; ++y) {
         for (int x = 0; x < width; x += kBlock) {
             const int n = width - x < kBlock ? width - x : kBlock;
-            Plane alpha, sum, total, known;
+            Plane alpha, sum, total;
             for (int k = 0; k < count; ++k) {
                 Plane own_alpha;
                 float *p0 = p + int64_t(k) * 2 * kBlock;
@@ -357,9 +370,6 @@ void measure(const Rules &rules, const MeasureRules &measures, const Layer *laye
                 factors(layers[k], k, n, own_alpha, f_a + k * kBlock, f_b + k * kBlock, alpha);
             }
             weigh(count, n, f_a, f_b, luminance, p, sum);
-            float *below = p + int64_t(count) * 2 * kBlock;
-            std::memset(below, 0, 2 * sizeof(Plane));
-            std::memset(luminance + count * kBlock, 0, sizeof(Plane));
             if (rules.has_background) {
                 for (int i = 0; i < n; ++i) {
                     const float uncovered = 1 - alpha[i];
@@ -370,15 +380,12 @@ void measure(const Rules &rules, const MeasureRules &measures, const Layer *laye
                     alpha[i] = 1;
                 }
             }
-            const int unknown = find_unknown(int(terms), n, p, luminance, sum, known);
-            if (unknown) {
-                found->unmeasured += unknown;
-                // What cannot be measured is still a pixel of the histograms.
-                for (int i = 0; i < n; ++i)
-                    if (known[i] == 0) alpha[i] = float_of(0x7fc00000u);
+            Block block{rules, measures, layers, n, count, p, size, near, active, 0, false, sum, total, alpha};
+            if (!find_active(block, luminance, total)) {
+                found->unmeasured += take_out_unknown(int(terms), n, p, luminance, sum, alpha);
+                std::memset(luminance, 0, size_t(terms) * sizeof(Plane));
+                find_active(block, luminance, total);
             }
-            Block block{rules, measures, n, count, p, size, near, active, 0, false, sum, total, alpha};
-            find_active(block, total);
 
             Plane p0, p1, chromatic;
             Support support;
