@@ -484,7 +484,7 @@ def test_a_figure_has_a_limit():
         render("svg", hpcomp.palette(many))
     pairs = 12 * 11 // 2
     figure = pytest.importorskip("hpcomp.report.palettefigure")
-    sheet = figure._Sheet(hpcomp.palette(many[:12]), PaletteLook(figure="profiles"), "none")
+    sheet = figure._Sheet(hpcomp.palette(many[:12]), PaletteLook(figure="profiles"))
     assert sheet.left_out == pairs - figure.MOST_PAIRS
     assert any(f"{sheet.left_out} pairs" in text.get_text() for text in sheet.figure.texts)
 

@@ -25,6 +25,7 @@ try:
     from matplotlib.collections import PolyCollection as PolyCollection
     from matplotlib.figure import Figure
     from matplotlib.font_manager import FontProperties
+    from matplotlib.patches import Circle as Circle
     from matplotlib.patches import Rectangle
     from matplotlib.text import Text
 except ImportError as missing:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from ..encoding import encode_srgb, into_gamut
 from ..errors import SettingError, printable
 from ..palettes import Floats, Label, Pair, Palette, Profile
-from .drawing import INK, SMALL, TITLE, PolyCollection, Sheet, saved
+from .drawing import INK, SMALL, TITLE, Circle, PolyCollection, Sheet, saved
 from .look import hue_colors, srgb_hex
 from .palettedata import ALL, hex_colors, rules_data, rules_sentence, shown
 from .paletteformats import PaletteLook
@@ -28,7 +28,7 @@ MOST_LABELS, MOST_PAIRS = 12, 28
 # Inches.
 _WIDTH, _MARGIN = 7.0, 0.15
 _LABEL_WIDTH, _LABEL_HEIGHT, _SWATCH = 1.67, 0.34, 0.22
-_NAMES, _GAP = 1.55, 0.2
+_NAMES, _ARROW, _GAP = 1.55, 0.24, 0.2
 _HEADING = 0.3
 _BAR, _STRIP, _BETWEEN, _ROW = 0.17, 0.05, 0.02, 0.345
 _AXIS = 0.42
@@ -52,9 +52,6 @@ _INSIDE = (0.78, 0.78, 0.78)
 #: The code of what a hue strip shows where there is none.
 _NO_HUE = 0x80
 
-#: By the format, whether its pictures are kept as they are, to be scaled by whoever shows them.
-_INTERPOLATION = {"png": "antialiased", "svg": "none", "pdf": "none"}
-
 
 def as_svg(palette: Palette, look: PaletteLook) -> bytes:
     """The figure as SVG, its letters as outlines."""
@@ -76,15 +73,15 @@ def _figure(palette: Palette, look: PaletteLook, format: str) -> bytes:
         raise SettingError(
             f"a figure shows {MOST_LABELS} labels at most, not {len(palette.labels)}: make several"
         )
-    return saved(lambda: _Sheet(palette, look, _INTERPOLATION[format]), format)
+    return saved(lambda: _Sheet(palette, look), format)
 
 
 class _Sheet(Sheet):
     """Labels at the top; below them a row for each pair; below these the discs."""
 
-    def __init__(self, palette: Palette, look: PaletteLook, interpolation: str) -> None:
+    def __init__(self, palette: Palette, look: PaletteLook) -> None:
         super().__init__()
-        self.palette, self.interpolation = palette, interpolation
+        self.palette = palette
         pairs = palette.distinct if look.figure in ("all", "profiles") else ()
         self.left_out = max(0, len(pairs) - MOST_PAIRS)
         pairs = pairs[:MOST_PAIRS]
@@ -170,15 +167,18 @@ class _Sheet(Sheet):
         y = bottom + 0.04
         apart = "" if pair.angle is None else f"{pair.angle:.0f}°"
         end = self._text(_MARGIN + _NAMES - 0.1, y, apart, horizontalalignment="right")
-        room = (_NAMES - 0.1 - self._width_of(end) - 0.06 - 0.24) / 2
-        x = _MARGIN
-        for number, between in ((pair.back, " → "), (pair.front, "")):
-            name = self._text(x, y, printable(self.palette.labels[number].name))
-            self._shorten(name, room)
-            x += self._width_of(name)
-            if between:
-                self._text(x + 0.12, y, between.strip(), horizontalalignment="center")
-                x += 0.24
+        room = _NAMES - 0.1 - self._width_of(end) - 0.06 - _ARROW
+        back, front = (
+            self._text(_MARGIN, y, printable(self.palette.labels[number].name))
+            for number in (pair.back, pair.front)
+        )
+        # Half of it for each, and what the other does not need.
+        self._shorten(back, max(room / 2, room - self._width_of(front)))
+        width = self._width_of(back)
+        self._shorten(front, room - width)
+        middle = _MARGIN + width + _ARROW / 2
+        self._text(middle, y, "→", horizontalalignment="center")
+        front.set_x((middle + _ARROW / 2) / self.width)
 
     def _bar(self, profile: Profile, left: float, bottom: float, width: float) -> None:
         """A blend, below it its hue alone, and a triangle where least of its chroma is left."""
@@ -236,14 +236,17 @@ class _Sheet(Sheet):
                 fontproperties=self.bold, size=TITLE, horizontalalignment="center",
             )  # fmt: skip
             axes = self._axes(left, top - _HEADING - _DISC_HEIGHT, _DISC, _DISC_HEIGHT)
-            axes.set_xlim(-_REACH, _REACH)
             high = _REACH * _DISC_HEIGHT / _DISC
-            axes.set_ylim(-high, high)
             axes.set_axis_off()
-            axes.imshow(
-                self._mixture_codes(name, radius), extent=(-1, 1, -1, 1),
-                interpolation=self.interpolation, zorder=0,
-            )  # fmt: skip
+            image = axes.imshow(
+                self._mixture_codes(name, radius),
+                extent=(-1, 1, -1, 1),
+                interpolation="antialiased",
+                zorder=0,
+            )
+            image.set_clip_path(Circle((0, 0), 1, transform=axes.transData))
+            axes.set_xlim(-_REACH, _REACH)
+            axes.set_ylim(-high, high)
             self._ring(axes)
             if number == 0 and len(self.palette.labels) <= _MOST_WITH_LINES:
                 self._lines(axes, radius)
@@ -261,7 +264,7 @@ class _Sheet(Sheet):
         return [*self.palette.labels, *([] if background.hue is None else [background])]
 
     def _mixture_codes(self, blending: str, radius: float) -> NDArray[np.uint8]:
-        """(h, w, 3): at each p the colour of the brightest mixture, white outside the disc."""
+        """(h, w, 3): at each p the colour of the brightest mixture, grey where there is none."""
         side = 2 * _RADIUS_PX + 1
         brightest: Floats = np.full((side, side), -np.inf)
         colors: Floats = np.zeros((side, side, 3))
@@ -282,8 +285,6 @@ class _Sheet(Sheet):
         brightest, colors = _widened(brightest, colors, _DOT_PX)
         codes = self._codes(colors)
         codes[np.isneginf(brightest)] = np.rint(np.array(_INSIDE) * 255)
-        rows, columns = np.mgrid[:side, :side] - _RADIUS_PX
-        codes[np.hypot(rows, columns) > _RADIUS_PX] = 255
         return codes
 
     def _ring(self, axes: Any) -> None:
