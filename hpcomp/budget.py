@@ -24,6 +24,8 @@ USED_SHARE = 0.85
 NUMPY_BYTES = 10 << 20
 #: A pixel of float32 RGBA, of an accumulator's planes, and of numpy's decoding, partly in doubles.
 RGBA_BYTES, PLANES_BYTES, DECODING_BYTES = 16, 20, 180
+#: The two planes more of a space in which the result is to be brought back into gamut.
+BOUNDS_BYTES = 8
 
 _BYTES = re.compile(r"(\d+(?:\.\d+)?)\s*([KMGT]?)(?:i?B)?", re.IGNORECASE | re.ASCII)
 
@@ -66,15 +68,18 @@ class Budget:
             held = sum(widest[:LAYERS_AT_ONCE])
         decoded = 0
         in_numpy = engine.active().DECODES_IN_NUMPY
+        if any(extra):
+            in_numpy = in_numpy or engine.measuring(rules).DECODES_IN_NUMPY
         if in_numpy or not all(reader.is_plain for reader in readers):
             at_once = len(readers) if all_at_once else LAYERS_AT_ONCE
             decoded = min(at_once, len(readers)) * RGBA_BYTES + DECODING_BYTES
+        planes = PLANES_BYTES + (0 if rules.blending_space.linear else BOUNDS_BYTES)
         widest_row = max(reader.bytes_per_row for reader in readers)
         return Budget(
             per_row=held
             + reads_ahead(threads) * widest_row
             + width
-            * (decoded + writes_behind(threads) * (PLANES_BYTES + form.bytes_per_pixel + extra[0])),
+            * (decoded + writes_behind(threads) * (planes + form.bytes_per_pixel + extra[0])),
             fixed=(NUMPY_BYTES if in_numpy else 0)
             + sum(reader.bytes_held for reader in readers)
             + threads * max(reader.bytes_to_decode for reader in readers)

@@ -65,15 +65,15 @@ def active() -> ModuleType:
 
 
 def start(rules: StackRules, width: int, height: int, dtype: Any = np.float32) -> Accumulator:
-    """An empty accumulator of the active engine; float64 is composited by the reference.
-
-    So are, for now, spaces whose maps are not linear.
-    """
-    engine = active()
-    if dtype == np.float64 or not rules.blending_space.linear:
-        engine = reference
+    """An empty accumulator of the active engine; float64 is composited by the reference."""
+    engine = reference if dtype == np.float64 else active()
     accumulator: Accumulator = engine.start(rules, width, height, dtype)
     return accumulator
+
+
+def measuring(rules: StackRules) -> ModuleType:
+    """The engine that measures a stack: the active one, but the kernel in linear spaces alone."""
+    return active() if rules.space.linear else reference
 
 
 def findings(
@@ -85,12 +85,9 @@ def findings(
     height: int,
     with_provenance: bool = False,
 ) -> tuple[StackFindings, Provenance | None]:
-    """What the active engine finds of a strip, all its layers bottom first.
-
-    The kernel measures in linear spaces alone: the reference does in the others.
-    """
-    chosen = active() if rules.space.linear else reference
-    found: tuple[StackFindings, Provenance | None] = import_module(chosen.MEASURING).findings(
+    """What the engine that measures finds of a strip, all its layers bottom first."""
+    module = import_module(measuring(rules).MEASURING)
+    found: tuple[StackFindings, Provenance | None] = module.findings(
         rules, settings, bins, strips, width, height, with_provenance
     )
     return found

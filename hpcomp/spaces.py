@@ -8,7 +8,7 @@ Arrays are planes first: `rgb` is (3, …), `p` is (2, …), so that each compon
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache, partial
 from typing import Any
 
@@ -94,11 +94,11 @@ class Space:
     """
 
     name: str
-    rgb_to_xyz: Matrix
-    forward: Callable[[Array], tuple[Array, Array]]
-    inverse: Callable[[Array, Array], Array]
-    coefficients: Coefficients
-    hue_axis: HueAxis = HEXAGON
+    rgb_to_xyz: Matrix = field(repr=False)
+    forward: Callable[[Array], tuple[Array, Array]] = field(repr=False)
+    inverse: Callable[[Array, Array], Array] = field(repr=False)
+    coefficients: Coefficients = field(repr=False)
+    hue_axis: HueAxis = field(default=HEXAGON, repr=False)
     gamut_turn: float = 0.0
 
     @property

@@ -147,7 +147,19 @@ def test_small_budget(peak, name, threads):
 @pytest.mark.parametrize("threads", [1, 2])
 def test_budget_of_every_engine(peak, engine_name, threads):
     env = {"HPCOMP_ENGINE": engine_name}
-    assert peak(["wide.png", "wide.exr"] * 2, "exr", 40, threads, env=env) <= 40
+    for space in ("linear-rgb", "oklab"):
+        used = peak(
+            ["wide.png", "wide.exr"] * 2, "exr", 40, threads, "--space", space, env=env
+        )
+        assert used <= 40
+
+
+@pytest.mark.parametrize("engine_name", list(dict.fromkeys([engine.active().NAME, "reference"])))
+@pytest.mark.parametrize("threads", [1, 2])
+def test_a_report_in_a_space_that_numpy_measures(peak, engine_name, threads, tmp_path):
+    env = {"HPCOMP_ENGINE": engine_name}
+    options = ("--space", "cielab", "--order", "balanced", "--report", tmp_path / "made.json")
+    assert peak(["wide.png", "wide.exr"] * 3, "exr", 80, threads, *options, env=env) <= 80
 
 
 @pytest.mark.parametrize(

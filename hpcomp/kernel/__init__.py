@@ -19,10 +19,12 @@ from ..addition import ROUNDING_ANGLE
 from ..compositing import Reduction, StackRules
 from ..encoding import SRGB, Losses, decode_table, to_rec709
 from ..errors import unknown_name
+from ..gamut import bounds_of
 from ..orders import ORDERS
 from ..porter_duff import Factor
 from ..samples import OUTPUT_TYPES, PLAIN, Decoding, Samples, Strip, cropped, linear_rgba
-from ..spaces import PlaneCoefficients
+from ..spaces import Coefficients, HslCoefficients, PlaneCoefficients
+from ..uniformspaces import CielabCoefficients, OklabCoefficients, Pairs
 from . import _kernel  # type: ignore[attr-defined]
 
 NAME = "kernel"
@@ -140,12 +142,14 @@ def rules_of(rules: StackRules) -> Any:
         order = _SIMULTANEOUS
     elif rules.order is ORDERS["top-down"]:
         sequence = tuple(reversed(range(n)))
-    background = None
+    background, background_bounds = None, [0.0, 0.0]
     if rules.background is not None:
-        luminance, p = space.forward(np.array(rules.background, np.float32)[:, None])
+        color = np.array(rules.background, np.float32)[:, None]
+        luminance, p = space.forward(color)
         background = [float(luminance[0]), float(p[0, 0]), float(p[1, 0])]
-    found = space.coefficients
-    assert isinstance(found, PlaneCoefficients)
+        if not space.linear:
+            background_bounds = [float(value) for value in bounds_of(space, color, 1.0)[:, 0]]
+    weights, to_p, from_p, maps, numbers = _maps(space.coefficients)
     return _kernel.rules(
         _BLENDINGS.index(rules.blending.name),
         math.radians(rules.hue_tolerance),
@@ -156,10 +160,33 @@ def rules_of(rules: StackRules) -> Any:
         n,
         background,
         2.0**rules.exposure,
-        list(found.weights),
-        [value for row in found.to_p for value in row],
-        [value for row in found.from_p for value in row],
+        list(weights),
+        _flat(to_p),
+        _flat(from_p),
+        maps,
+        numbers,
+        background_bounds,
     )
+
+
+def _flat(*pairs: Pairs) -> list[float]:
+    return [value for rows in pairs for row in rows for value in row]
+
+
+def _maps(found: Coefficients) -> tuple[tuple[float, float], Pairs, Pairs, int, list[float]]:
+    """The maps of a space: weights, to and from p, and by the number of `Maps` the rest."""
+    none = ((0.0, 0.0),) * 3
+    match found:
+        case PlaneCoefficients():
+            return found.weights, found.to_p, found.from_p, 0, []
+        case HslCoefficients(plane):
+            return plane.weights, plane.to_p, plane.from_p, 1, []
+        case OklabCoefficients():
+            numbers = _flat(found.to_lms, found.to_lab, found.to_roots, found.from_lms)
+            return found.weights, none[:2], none, 2, [*numbers, 1 / found.largest]
+        case CielabCoefficients():
+            numbers = _flat(found.to_xz, found.from_xz)
+            return found.weights, none[:2], none, 3, [*numbers, 1 / found.largest]
 
 
 def _table(samples: Samples, decoding: Decoding) -> NDArray[np.float32] | None:

@@ -37,19 +37,6 @@ HPCOMP_INLINE float shoulder(const Rules &rules, float x1, float y1, float x2, f
     return rules.inverse_tolerance > 0 ? smooth : hard;
 }
 
-// The power of two that brings the largest of four numbers near 1, and its inverse: squares of tiny
-// and huge colours stay in the range of the type, and scaling by it rounds nothing.
-struct Scale {
-    float down, up;
-};
-HPCOMP_INLINE Scale scale_of(float a, float b, float c, float d) {
-    const float largest = larger(larger(magnitude(a), magnitude(b)), larger(magnitude(c), magnitude(d)));
-    uint32_t exponent = bits_of(largest) & 0x7f800000u;
-    exponent = exponent < 0x00800000u ? 0x00800000u : exponent;
-    exponent = exponent > 0x7e800000u ? 0x7e800000u : exponent;
-    return {float_of(0x7f000000u - exponent), float_of(exponent)};
-}
-
 // A share in [0, 1] to the power 3b: what the bias b against grey, above 0, multiplies the share by
 // that a rival cancels. In [0, 1], and 1 for a share of 1; their product is exact to 1e-7.
 HPCOMP_INLINE float bias(const Rules &rules, float share) {

@@ -10,10 +10,25 @@ namespace {
 
 // --- folds ---------------------------------------------------------------------------------------
 
+// lo and hi of the stack so far, on which a term of bounds `lo` and `hi` comes.
+HPCOMP_INLINE void bound(int n, const float *f_a, const float *f_b, const float *lo, const float *hi,
+                         const State &at) {
+    for (int i = 0; i < n; ++i) {
+        at.lo[i] = f_a[i] * lo[i] + f_b[i] * at.lo[i];
+        at.hi[i] = f_a[i] * hi[i] + f_b[i] * at.hi[i];
+    }
+}
+
 HPCOMP_INLINE void under_all(const Rules &rules, int n, float *luminance, float *p0, float *p1,
-                             float *alpha, const State &at) {
+                             float *alpha, const float *lo, const float *hi, const State &at) {
     float *transmittance = at.transmittance;
     Plane q0, q1;
+    if (rules.maps != Maps::kLinear) {
+        for (int i = 0; i < n; ++i) {
+            at.lo[i] += transmittance[i] * lo[i];
+            at.hi[i] += transmittance[i] * hi[i];
+        }
+    }
     for (int i = 0; i < n; ++i) {
         const float weight = transmittance[i];
         at.luminance[i] += weight * luminance[i];  // [R1]
@@ -26,10 +41,12 @@ HPCOMP_INLINE void under_all(const Rules &rules, int n, float *luminance, float 
 }
 
 HPCOMP_INLINE void above_all(const Rules &rules, const Layer &layer, int n, float *luminance,
-                             float *p0, float *p1, float *alpha, const State &at) {
+                             float *p0, float *p1, float *alpha, const float *lo, const float *hi,
+                             const State &at) {
     Plane f_a, f_b;
     factor(layer.factor_a, at.alpha, n, f_a);
     factor(layer.factor_b, alpha, n, f_b);
+    if (rules.maps != Maps::kLinear) bound(n, f_a, f_b, lo, hi, at);
     for (int i = 0; i < n; ++i) {
         at.luminance[i] = f_a[i] * luminance[i] + f_b[i] * at.luminance[i];  // [R1]
         at.alpha[i] = at_most_one(f_a[i] * alpha[i] + f_b[i] * at.alpha[i]);
@@ -43,7 +60,8 @@ HPCOMP_INLINE void above_all(const Rules &rules, const Layer &layer, int n, floa
 
 HPCOMP_INLINE State state_at(const State &state, int64_t pixel) {
     return {state.luminance + pixel, state.p0 + pixel, state.p1 + pixel, state.alpha + pixel,
-            state.transmittance ? state.transmittance + pixel : nullptr};
+            state.transmittance ? state.transmittance + pixel : nullptr,
+            state.lo ? state.lo + pixel : nullptr, state.hi ? state.hi + pixel : nullptr};
 }
 
 void add_layers(const Rules &rules, const Layer *layers, const int *numbers, int count, int width,
@@ -53,17 +71,21 @@ void add_layers(const Rules &rules, const Layer *layers, const int *numbers, int
             const int n = width - x < kBlock ? width - x : kBlock;
             const State at = state_at(state, int64_t(y) * width + x);
             for (int k = 0; k < count; ++k) {
-                Plane luminance, p0, p1, alpha;
-                nonfinite[k] += load_term(rules, layers[k], x, y, n, luminance, p0, p1, alpha);
+                Plane luminance, p0, p1, alpha, lo, hi;
+                nonfinite[k] += load_term(rules, layers[k], x, y, n, luminance, p0, p1, alpha, lo, hi);
                 if (rules.order == Order::kFrontToBack) {
-                    under_all(rules, n, luminance, p0, p1, alpha, at);
+                    under_all(rules, n, luminance, p0, p1, alpha, lo, hi, at);
                 } else if (numbers[k] == 0) {
                     std::memcpy(at.luminance, luminance, n * sizeof(float));
                     std::memcpy(at.p0, p0, n * sizeof(float));
                     std::memcpy(at.p1, p1, n * sizeof(float));
                     std::memcpy(at.alpha, alpha, n * sizeof(float));
+                    if (rules.maps != Maps::kLinear) {
+                        std::memcpy(at.lo, lo, n * sizeof(float));
+                        std::memcpy(at.hi, hi, n * sizeof(float));
+                    }
                 } else {
-                    above_all(rules, layers[k], n, luminance, p0, p1, alpha, at);
+                    above_all(rules, layers[k], n, luminance, p0, p1, alpha, lo, hi, at);
                 }
             }
         }
@@ -85,13 +107,21 @@ void reduce_layers(const Rules &rules, const Layer *layers, int count, int width
             const int n = width - x < kBlock ? width - x : kBlock;
             const State at = state_at(state, int64_t(y) * width + x);
             for (int k = 0; k < count; ++k) {
-                Plane alpha;
+                Plane alpha, lo, hi;
                 float *p0 = p + int64_t(k) * 2 * kBlock;
+                float *layer_a = f_a + k * kBlock, *layer_b = f_b + k * kBlock;
                 // Lanes beyond the row take part in the reduction, and must be harmless.
                 std::memset(p0, 0, 2 * sizeof(Plane));
                 nonfinite[k] += load_term(rules, layers[k], x, y, n, luminance + k * kBlock, p0,
-                                          p0 + kBlock, alpha);
-                factors(layers[k], k, n, alpha, f_a + k * kBlock, f_b + k * kBlock, at.alpha);
+                                          p0 + kBlock, alpha, lo, hi);
+                factors(layers[k], k, n, alpha, layer_a, layer_b, at.alpha);
+                if (rules.maps == Maps::kLinear) continue;
+                if (k == 0) {
+                    // Under it was nothing, of which the planes know not.
+                    std::memset(at.lo, 0, n * sizeof(float));
+                    std::memset(at.hi, 0, n * sizeof(float));
+                }
+                bound(n, layer_a, layer_b, lo, hi, at);
             }
             weigh(count, n, f_a, f_b, luminance, p, at.luminance);
             reduce_terms(rules, p, count, n, pairs, there);
@@ -194,12 +224,20 @@ void finish(const Rules &rules, int64_t pixels, const State &state, const Output
     for (int64_t begin = 0; begin < pixels; begin += kBlock) {
         const int n = pixels - begin < kBlock ? int(pixels - begin) : kBlock;
         const State at = state_at(state, begin);
-        Plane luminance, p0, p1, alpha, red, green, blue;
+        Plane luminance, p0, p1, alpha, red, green, blue, lo, hi;
         for (int i = 0; i < n; ++i) {
             luminance[i] = at.luminance[i];
             p0[i] = at.p0[i];
             p1[i] = at.p1[i];
             alpha[i] = at.alpha[i];
+        }
+        if (rules.maps != Maps::kLinear) {
+            const float below = rules.background_bounds[0], above = rules.background_bounds[1];
+            for (int i = 0; i < n; ++i) {
+                const float uncovered = rules.has_background ? 1 - alpha[i] : 0.0f;
+                lo[i] = at.lo[i] + uncovered * below;
+                hi[i] = at.hi[i] + uncovered * above;
+            }
         }
         if (rules.has_background) {
             Plane q0, q1;
@@ -212,10 +250,14 @@ void finish(const Rules &rules, int64_t pixels, const State &state, const Output
             }
             add(rules, n, p0, p1, q0, q1, true);
         }
-        for (int i = 0; i < n; ++i) {
-            red[i] = p0[i] * rules.from_p[0][0] + p1[i] * rules.from_p[0][1] + luminance[i];
-            green[i] = p0[i] * rules.from_p[1][0] + p1[i] * rules.from_p[1][1] + luminance[i];
-            blue[i] = p0[i] * rules.from_p[2][0] + p1[i] * rules.from_p[2][1] + luminance[i];
+        if (rules.maps != Maps::kLinear) {
+            from_p(rules, n, luminance, p0, p1, lo, hi, red, green, blue);
+        } else {
+            for (int i = 0; i < n; ++i) {
+                red[i] = p0[i] * rules.from_p[0][0] + p1[i] * rules.from_p[0][1] + luminance[i];
+                green[i] = p0[i] * rules.from_p[1][0] + p1[i] * rules.from_p[1][1] + luminance[i];
+                blue[i] = p0[i] * rules.from_p[2][0] + p1[i] * rules.from_p[2][1] + luminance[i];
+            }
         }
         if (rules.gain != 1) {
             for (int i = 0; i < n; ++i) {

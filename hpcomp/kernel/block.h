@@ -28,6 +28,19 @@ constexpr int64_t scratch_floats(Order order, int64_t n) {
     return term_floats(n) + (order == Order::kSimultaneous ? pair_floats(n) + n * n + 2 * n : 0);
 }
 
+// What the maps between colours and p are.
+enum class Maps : int { kLinear, kHsl, kOklab, kCielab };
+
+// Oklab in numbers: pairs of coefficients beside the middle one of three, see `uniformspaces.py`.
+struct OklabNumbers {
+    float to_lms[3][2], to_lab[3][2], to_roots[3][2], from_lms[3][2];
+    float inverse_largest;   // 1 over the bound of |p|/Y
+};
+struct CielabNumbers {
+    float to_xz[2][2], from_xz[3][2];
+    float inverse_largest;
+};
+
 // One layer's strip: rows of interleaved samples and what they mean.
 struct Layer {
     const void *samples;
@@ -55,15 +68,20 @@ struct Rules {
     int layers;
     int has_background;
     float background_luminance, background_p[2];
+    float background_bounds[2];
     float gain;              // 2 to the exposure
     float weight_red, weight_blue;       // luminance weights
     float to_p[2][2];        // p from red - green and blue - green
     float from_p[3][2];      // what p adds to each channel
+    Maps maps;               // kHsl changes the length of p, the others have numbers of their own
+    OklabNumbers oklab;
+    CielabNumbers cielab;
 };
 
-// Planes of the strip so far: luminance, p, alpha, and the transmittance in front.
+// Planes of the strip so far: luminance, p, alpha, the transmittance in front, and where the maps
+// are not linear what bounds the channels of the result; null where they are not needed.
 struct State {
-    float *luminance, *p0, *p1, *alpha, *transmittance;
+    float *luminance, *p0, *p1, *alpha, *transmittance, *lo, *hi;
 };
 
 // Where a result goes: one of four kinds of sample, RGBA interleaved.

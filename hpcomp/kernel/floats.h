@@ -35,6 +35,19 @@ HPCOMP_INLINE float larger(float a, float b) { return a > b ? a : b; }
 HPCOMP_INLINE float at_most_one(float x) { return x > 1 ? 1.0f : x; }
 HPCOMP_INLINE float clamped(float x) { return x < 0 ? 0.0f : at_most_one(x); }
 
+// The power of two that brings the largest of four numbers near 1, and its inverse: squares of tiny
+// and huge colours stay in the range of the type, and scaling by it rounds nothing.
+struct Scale {
+    float down, up;
+};
+HPCOMP_INLINE Scale scale_of(float a, float b, float c, float d) {
+    const float largest = larger(larger(magnitude(a), magnitude(b)), larger(magnitude(c), magnitude(d)));
+    uint32_t exponent = bits_of(largest) & 0x7f800000u;
+    exponent = exponent < 0x00800000u ? 0x00800000u : exponent;
+    exponent = exponent > 0x7e800000u ? 0x7e800000u : exponent;
+    return {float_of(0x7f000000u - exponent), float_of(exponent)};
+}
+
 HPCOMP_INLINE float from_half(uint16_t half) {
     const uint32_t sign = uint32_t(half & 0x8000u) << 16;
     // The exponent moves by a multiplication, which also makes subnormals right.

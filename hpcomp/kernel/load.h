@@ -2,7 +2,7 @@
 
 #pragma once
 
-#include "floats.h"
+#include "spaces.h"
 
 namespace hpcomp {
 namespace {
@@ -140,6 +140,13 @@ HPCOMP_INLINE int64_t load(const Layer &layer, int x, int y, int n, float *red, 
 // Colours as terms of the stack: luminance and p.
 HPCOMP_INLINE void to_terms(const Rules &rules, int n, const float *red, const float *green,
                             const float *blue, float *luminance, float *p0, float *p1) {
+    if (rules.maps != Maps::kLinear) {
+        for (int i = 0; i < n; ++i)
+            luminance[i] = green[i] + rules.weight_red * (red[i] - green[i]) +
+                           rules.weight_blue * (blue[i] - green[i]);
+        to_p(rules, n, red, green, blue, luminance, p0, p1);
+        return;
+    }
     for (int i = 0; i < n; ++i) {
         const float red_green = red[i] - green[i], blue_green = blue[i] - green[i];
         luminance[i] = green[i] + rules.weight_red * red_green + rules.weight_blue * blue_green;
@@ -148,12 +155,20 @@ HPCOMP_INLINE void to_terms(const Rules &rules, int n, const float *red, const f
     }
 }
 
-// A block of a layer as a term: luminance, p and alpha. Returns as `load` does.
+// A block of a layer as a term: luminance, p and alpha, and where the maps are not linear what
+// bounds its channels. Returns as `load` does.
 HPCOMP_INLINE int64_t load_term(const Rules &rules, const Layer &layer, int x, int y, int n,
-                                float *luminance, float *p0, float *p1, float *alpha) {
+                                float *luminance, float *p0, float *p1, float *alpha, float *lo,
+                                float *hi) {
     Plane red, green, blue;
     const int64_t nonfinite = load(layer, x, y, n, red, green, blue, alpha);
     to_terms(rules, n, red, green, blue, luminance, p0, p1);
+    if (rules.maps != Maps::kLinear) {
+        for (int i = 0; i < n; ++i) {
+            lo[i] = smaller(smallest_of(red[i], green[i], blue[i]), 0.0f);
+            hi[i] = larger(largest_of(red[i], green[i], blue[i]), alpha[i]);
+        }
+    }
     return nonfinite;
 }
 

@@ -12,6 +12,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstring>
 #include <initializer_list>
 #include <limits>
 #include <memory>
@@ -117,7 +118,9 @@ std::shared_ptr<StackRules> make_rules(int blending, float tolerance, float roun
                                        float gray_bias, int order, std::vector<int> permutation, int layers,
                                        std::optional<std::array<float, 3>> background, float gain,
                                        std::array<float, 2> weights, std::array<float, 4> to_p,
-                                       std::array<float, 6> from_p) {
+                                       std::array<float, 6> from_p, int maps,
+                                       const std::vector<float> &numbers,
+                                       std::array<float, 2> background_bounds) {
     auto made = std::make_shared<StackRules>();
     Rules &rules = made->rules;
     if (layers < 1 || layers > (1 << 20)) throw nb::value_error("a stack needs layers");
@@ -159,6 +162,16 @@ std::shared_ptr<StackRules> make_rules(int blending, float tolerance, float roun
     rules.weight_blue = weights[1];
     for (int i = 0; i < 4; ++i) rules.to_p[i / 2][i % 2] = to_p[size_t(i)];
     for (int i = 0; i < 6; ++i) rules.from_p[i / 2][i % 2] = from_p[size_t(i)];
+    if (maps < 0 || maps > int(Maps::kCielab)) throw nb::value_error("unknown maps");
+    rules.maps = Maps(maps);
+    for (int i = 0; i < 2; ++i) rules.background_bounds[i] = background_bounds[size_t(i)];
+    // Structures of floats alone, in the sequence of their fields; the last is an inverse.
+    static_assert(sizeof(OklabNumbers) == 25 * sizeof(float) && sizeof(CielabNumbers) == 11 * sizeof(float));
+    const size_t needed = rules.maps == Maps::kOklab ? 25 : rules.maps == Maps::kCielab ? 11 : 0;
+    if (numbers.size() != needed) throw nb::value_error("other numbers belong to these maps");
+    if (needed && !(numbers.back() > 0)) throw nb::value_error("the bound of |p|/Y must be positive");
+    if (rules.maps == Maps::kOklab) std::memcpy(&rules.oklab, numbers.data(), sizeof rules.oklab);
+    if (rules.maps == Maps::kCielab) std::memcpy(&rules.cielab, numbers.data(), sizeof rules.cielab);
     return made;
 }
 
@@ -248,12 +261,15 @@ class Accumulator {
     void begin_planes(int64_t rows) {
         const int64_t pixels = rows * width_;
         const bool front = rules_->rules.order == Order::kFrontToBack;
-        if (planes_.empty()) planes_.resize(size_t(pixels) * (front ? 5 : 4));
-        float *plane = planes_.data();
+        const bool bounded = rules_->rules.maps != Maps::kLinear;
+        const int count = 4 + (front ? 1 : 0) + (bounded ? 2 : 0);
+        if (planes_.empty()) planes_.resize(size_t(pixels) * size_t(count));
+        float *plane = planes_.data(), *last = plane + count * pixels;
         state_ = {plane, plane + pixels, plane + 2 * pixels, plane + 3 * pixels,
-                  front ? plane + 4 * pixels : nullptr};
+                  front ? plane + 4 * pixels : nullptr, bounded ? last - 2 * pixels : nullptr,
+                  bounded ? last - pixels : nullptr};
         if (!front) return;
-        std::fill(plane, plane + 4 * pixels, 0.0f);
+        std::fill(plane, last, 0.0f);
         std::fill(plane + 4 * pixels, plane + 5 * pixels, 1.0f);
     }
 
@@ -359,6 +375,7 @@ measure(std::shared_ptr<StackRules> rules, std::array<float, 4> limits, bool dep
         Sums others, std::optional<Numbers> layer, std::optional<Values> grey,
         std::optional<Values> margin, const std::string &level) {
     const Measuring &measuring = *level_of(level).measuring;
+    if (rules->rules.maps != Maps::kLinear) throw nb::value_error("only linear maps are measured");
     const int64_t n = rules->rules.layers;
     if (int64_t(strips.size()) != n) throw nb::value_error("all layers are needed");
     for (const StripLayer *strip : strips)
@@ -411,7 +428,9 @@ NB_MODULE(_kernel, module) {
                "matrix"_a.none(), "left"_a, "top"_a, "opacity"_a, "factor_a"_a, "factor_b"_a,
                "behind"_a, "zero_nonfinite"_a);
     module.def("rules", &make_rules, "blending"_a, "tolerance"_a, "rounding_angle"_a, "gray_bias"_a,
-               "order"_a, "permutation"_a, "layers"_a, "background"_a.none(), "gain"_a, "weights"_a, "to_p"_a, "from_p"_a);
+               "order"_a, "permutation"_a, "layers"_a, "background"_a.none(), "gain"_a, "weights"_a, "to_p"_a, "from_p"_a,
+               "maps"_a = 0, "numbers"_a = std::vector<float>{},
+               "background_bounds"_a = std::array<float, 2>{});
     nb::class_<Accumulator>(module, "Accumulator")
         .def(nb::init<std::shared_ptr<StackRules>, int64_t, int64_t, const std::string &>(), "rules"_a,
              "width"_a, "height"_a, "level"_a = "")
