@@ -67,10 +67,10 @@ HPCOMP_INLINE float bias(const Rules &rules, float share) {
 }
 
 // Two vectors scaled by one power of two, and their lengths.
-struct Scaled {
+struct ScaledPair {
     float x1, y1, x2, y2, m1, m2, up;
 };
-HPCOMP_INLINE Scaled scaled(float p0, float p1, float q0, float q1) {
+HPCOMP_INLINE ScaledPair scaled_pair(float p0, float p1, float q0, float q1) {
     const Scale scale = scale_of(p0, p1, q0, q1);
     const float x1 = p0 * scale.down, y1 = p1 * scale.down;
     const float x2 = q0 * scale.down, y2 = q1 * scale.down;
@@ -86,14 +86,14 @@ HPCOMP_INLINE void add_keeping_hue(const Rules &rules, int n, float *p0, float *
     if (kBiased) {
         // A loop of its own: with the shoulder in it, it would be too long to be vectorised.
         for (int i = 0; i < n; ++i) {
-            const Scaled v = scaled(p0[i], p1[i], q0[i], q1[i]);
+            const ScaledPair v = scaled_pair(p0[i], p1[i], q0[i], q1[i]);
             const float most = larger(v.m1, v.m2);
             const float share = smaller(v.m1, v.m2) / (most > 0 ? most : 1.0f);
             biased[i] = 1 - share * bias(rules, share);
         }
     }
     for (int i = 0; i < n; ++i) {
-        const Scaled v = scaled(p0[i], p1[i], q0[i], q1[i]);
+        const ScaledPair v = scaled_pair(p0[i], p1[i], q0[i], q1[i]);
         const float most = larger(v.m1, v.m2), least = smaller(v.m1, v.m2);
         const float plain = most > 0 ? (most - least) / most : 0.0f;  // [R3]
         const float kept = kBiased ? biased[i] : plain;
