@@ -245,11 +245,13 @@ def check(
     """Measures the hues of a picture against the layers that it was made from, or against hues.
 
     `image`: a file, or a LAYER string without `op` and `opacity`. `layers`: as in `stack`, whose
-    options mean the same; or instead `hues`, HSL degrees of linear colours. At least one rule:
+    options mean the same; or instead `hues`, degrees on the axis of `space`, in most spaces that of
+    HSL of the linear colour. At least one rule:
     `max_foreign`, `max_grey`: shares in [0, 1] or as `1%` that may not be exceeded;
     `require_hue`: labels that must be seen, degrees or `layer:1` or `layer:NAME`, each in the share
     `visible` of where it could be.
-    `foreign_tolerance`: degrees between p vectors, twice the hue tolerance if not given.
+    `foreign_tolerance`: degrees between p vectors, twice the hue tolerance if not given, and
+    the space's `gamut_turn` more.
     Returns: a `CheckResult`, whose `passed` tells how it ended.
     Errors: `SettingError`, also where no rule is given; `InputError`, `MismatchError`.
     Warnings: `HpcompWarning`; errors with `strict`.

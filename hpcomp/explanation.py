@@ -185,7 +185,7 @@ def explain(
 
     `layers`: as in `stack`, whose options mean the same. `at`: the pixel, `X,Y` or two ints, in
     coordinates of the canvas. `foreign_tolerance`: degrees between p vectors within which a hue is
-    a layer's, twice the hue tolerance if not given.
+    a layer's, twice the hue tolerance if not given and the space's `gamut_turn` more.
     Returns: the `PixelExplanation`, its colours linear and premultiplied.
     Errors: `SettingError`, `InputError`, `MismatchError` for a pixel outside the canvas.
     Warnings: `HpcompWarning`; errors with `strict`.

@@ -260,7 +260,8 @@ def stack_measures(layers: Sequence[ArrayLike], **settings: Any) -> StackMeasure
     `settings`: the rules of `composite` under the same names, and
       `half_step` 0.5/65535: |p| above which a term contributes and a result has chroma;
       `achromatic` 0.02: saturation in [0, 1] below which a result is grey;
-      `foreign_tolerance` twice `hue_tolerance`: degrees between p vectors.
+      `foreign_tolerance` twice `hue_tolerance`, and the space's `gamut_turn` more: degrees between
+        p vectors.
     Returns: the `StackMeasures`, of which those of several strips can be added.
     Errors: `SettingError` for a setting, `MismatchError` for layers of different shapes.
     Source: the measures are this project's; the operator is of Chuang et al. 2009.

@@ -23,7 +23,7 @@ SHORT_HELP = "Fail if a picture has lost the hues of its layers."
     "--hues",
     metavar="HUE,HUE...",
     help="Check against these hues instead of layers: degrees, 0 red, 60 yellow, 120 green, "
-    "240 blue, of the linear colour.",
+    "240 blue, of the linear colour; with --space oklab or cielab those of that space.",
 )
 @click.option(
     "--max-foreign",
@@ -55,7 +55,8 @@ SHORT_HELP = "Fail if a picture has lost the hues of its layers."
     "--foreign-tolerance",
     type=float,
     metavar="DEGREES",
-    help="A hue this near to a layer's is that layer's: twice the hue tolerance if not given.",
+    help="A hue this near to a layer's is that layer's: twice the hue tolerance if not given, "
+    "more in oklab and cielab.",
 )
 @click.option(
     "--achromatic",

@@ -30,7 +30,8 @@ SHORT_HELP = "Say step by step how one pixel of a stack comes about."
     "--foreign-tolerance",
     type=float,
     metavar="DEGREES",
-    help="A hue this near to a layer's is that layer's: twice the hue tolerance if not given.",
+    help="A hue this near to a layer's is that layer's: twice the hue tolerance if not given, "
+    "more in oklab and cielab.",
 )
 @stack_options("exposure", "canvas", "overscan", "background", "nonfinite", "strict")
 @click.option(

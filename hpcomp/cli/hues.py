@@ -25,9 +25,9 @@ _FORMATS = "\n".join(f"  {row.name:<6} {row.title}" for row in REPORT_FORMATS.va
 HUES_HELP = f"""Count the hues of images: how much of each, and which stand out.
 
 IMAGE is a PNG or EXR file in the LAYER syntax of stack, with the keys alpha, colorspace, tint,
-part, layer and name; `-` reads stdin. The hue is that of HSL, taken of the linear colour: 0 is red,
-120 green, 240 blue. Grey and transparent pixels are counted apart. Bins are centred on multiples
-of their width.
+part, layer and name; `-` reads stdin. The hue is that of HSL, taken of the linear colour: 0 is
+red, 120 green, 240 blue; with --space oklab or cielab it is the angle in that space. Grey and
+transparent pixels are counted apart. Bins are centred on multiples of their width.
 
 A peak is a bin with more pixels than any other within 2°, and takes those bins in. It is listed if
 it holds 1% of the pixels with a hue, and if its bin has three times what is usual on either side,

@@ -110,7 +110,7 @@ argument is an existing file; a value holds no comma. Keys: {", ".join(LAYER_KEY
     type=float,
     metavar="DEGREES",
     help="Reports: a hue farther than this from every layer's is foreign; twice the hue tolerance "
-    "if not given.",
+    "if not given, more in oklab and cielab.",
 )
 @click.option(
     "--achromatic",

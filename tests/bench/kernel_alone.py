@@ -20,6 +20,7 @@ from hpcomp import kernel
 from hpcomp.compositing import StackRules, stack_rules
 from hpcomp.encoding import Losses
 from hpcomp.samples import Strip
+from hpcomp.spaces import SPACES
 
 WIDTH, HEIGHT, STRIP_ROWS = 3840, 2160, 64
 
@@ -33,6 +34,7 @@ class Case:
     order: str
     level: str
     threads: int
+    space: str = "linear-rgb"
 
 
 def cases(threads: int) -> list[Case]:
@@ -45,7 +47,13 @@ def cases(threads: int) -> list[Case]:
         for n in sorted({1, threads})
     ]
     orders = ("bottom-up", "top-down", "balanced", "simultaneous")
-    return bottom_up + [Case(8, "hue-preserving", order, fastest, threads) for order in orders]
+    spaces = [
+        Case(4, "hue-preserving", "bottom-up", fastest, threads, space)
+        for space in SPACES
+        if space != "linear-rgb"
+    ]
+    of_orders = [Case(8, "hue-preserving", order, fastest, threads) for order in orders]
+    return bottom_up + spaces + of_orders
 
 
 def composite_strip(rules: StackRules, layers: list[Any], begin: int) -> None:
@@ -58,7 +66,7 @@ def composite_strip(rules: StackRules, layers: list[Any], begin: int) -> None:
 def seconds(case: Case, layers: list[Any]) -> tuple[float, float]:
     """Wall time, and CPU time of all threads."""
     os.environ[kernel.LEVEL_VARIABLE] = case.level
-    rules = stack_rules(case.layers, blending=case.blending, order=case.order)
+    rules = stack_rules(case.layers, blending=case.blending, order=case.order, space=case.space)
     with ThreadPoolExecutor(case.threads) as pool:
         wall, cpu = time.perf_counter(), time.process_time()
         rows = range(0, HEIGHT, STRIP_ROWS)
