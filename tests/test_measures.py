@@ -613,3 +613,10 @@ def test_plain_addition_is_measured_as_the_picture_it_makes(space):
     assert hpcomp.stack_measures(layers, blending="traditional", **rules).result.chroma == pytest.approx(
         chroma.sum() / SUM_UNIT, abs=NEAR / SUM_UNIT
     )
+
+
+@pytest.mark.parametrize("space", hpcomp.SPACES)
+def test_the_foreign_tolerance_allows_for_the_way_back_into_gamut(space):
+    found = hpcomp.stack_measures([label(0, 0.3)], space=space, hue_tolerance=3.0)
+    turn = {"oklab": 1.5, "cielab": 3.5}.get(space, 0.0)
+    assert found.settings.foreign_tolerance == 6 + turn
