@@ -63,68 +63,66 @@ HPCOMP_INLINE void find_bins(const MeasureRules &measures, int n, ConstRow red, 
     others[kGrey] += grey;
 }
 
-// Pixels that are added at once where they share a bin.
+// Pixels that are added at once where they share a bin; sums of so many small addends fit 32 bits.
 constexpr int kRun = 32;
 
-template <class Units>
-HPCOMP_INLINE void add_to_bins(int bins, int n, const int32_t *bin, const Units (*units)[kBlock],
+// The units of a pixel's addend, and of those of a run.
+template <bool kSmall> HPCOMP_INLINE int64_t addend_of(float value) {
+    return kSmall ? small_units_of(value) : units_of(within_addends(value));
+}
+template <bool kSmall> HPCOMP_INLINE int64_t sum_of_run(ConstRow values, int begin, int end) {
+    int64_t total = 0;
+    int32_t small_total = 0;
+    for (int i = begin; i < end; ++i) {
+        if (kSmall)
+            small_total += small_units_of(values[i]);
+        else
+            total += units_of(within_addends(values[i]));
+    }
+    return total + small_total;
+}
+
+// `columns`: what is summed, from `kChroma` on.
+template <bool kSmall>
+HPCOMP_INLINE void add_to_bins(int bins, int n, const int32_t *bin, const float *const *columns,
                                int64_t *rows) {
-    for (int begin = 0; begin < n;) {
-        const int32_t first = bin[begin];
-        int end = begin, differs = 0;
-        while (end < n && !differs) {  // labels mostly have one hue for long
-            const int stop = n - end < kRun ? n : end + kRun;
-            for (int i = end; i < stop; ++i) differs |= bin[i] ^ first;
-            end = differs ? end : stop;
-        }
-        if (end > begin) {
-            if (first != bins) {
-                int64_t *row = rows + int64_t(first) * kHueColumns;
-                row[kCount] += end - begin;
-                for (int column = kChroma; column <= kBlue; ++column)
-                    row[column] += sum_of_run(units[column], begin, end);
-            }
-            begin = end;
-            continue;
-        }
-        const int stop = n - begin < kRun ? n : begin + kRun;
-        for (; begin < stop; ++begin) {
+    for (int begin = 0; begin < n; begin += kRun) {
+        const int end = n - begin < kRun ? n : begin + kRun;
+        int differs = 0;
+        for (int i = begin; i < end; ++i) differs |= bin[i] ^ bin[begin];
+        if (!differs) {  // as labels mostly have it
             if (bin[begin] == bins) continue;
             int64_t *row = rows + int64_t(bin[begin]) * kHueColumns;
+            row[kCount] += end - begin;
+            for (int column = kChroma; column <= kBlue; ++column)
+                row[column] += sum_of_run<kSmall>(columns[column - kChroma], begin, end);
+            continue;
+        }
+        for (int i = begin; i < end; ++i) {
+            if (bin[i] == bins) continue;
+            int64_t *row = rows + int64_t(bin[i]) * kHueColumns;
             row[kCount] += 1;
-            for (int column = kChroma; column <= kBlue; ++column) row[column] += units[column][begin];
+            for (int column = kChroma; column <= kBlue; ++column)
+                row[column] += addend_of<kSmall>(columns[column - kChroma][i]);
         }
     }
 }
 
-// Adds a block of linear, premultiplied colours and their |p|. Returns whether all are small addends.
+// Adds a block of linear, premultiplied colours, their alpha in [0, 1] or NaN, and their |p|.
+// Returns whether all are small addends.
 bool add_hues(const MeasureRules &measures, int n, ConstRow red, ConstRow green, ConstRow blue,
               ConstRow alpha, ConstRow chroma, Hues hues) {
     int32_t bin[kBlock];
-    if (all_small(n, red, green, blue, alpha, chroma)) {
+    const float *columns[] = {chroma, alpha, red, green, blue};
+    const bool small = all_small(n, red, green, blue, alpha, chroma);
+    if (small) {
         find_bins<true>(measures, n, red, green, blue, alpha, bin, hues.others);
-        int32_t units[kBlue + 1][kBlock];
-        for (int i = 0; i < n; ++i) {
-            units[kChroma][i] = small_units_of(chroma[i]);
-            units[kAlpha][i] = small_units_of(clamped(alpha[i]));
-            units[kRed][i] = small_units_of(red[i]);
-            units[kGreen][i] = small_units_of(green[i]);
-            units[kBlue][i] = small_units_of(blue[i]);
-        }
-        add_to_bins(measures.bins, n, bin, units, hues.bins);
-        return true;
+        add_to_bins<true>(measures.bins, n, bin, columns, hues.bins);
+    } else {
+        find_bins<false>(measures, n, red, green, blue, alpha, bin, hues.others);
+        add_to_bins<false>(measures.bins, n, bin, columns, hues.bins);
     }
-    find_bins<false>(measures, n, red, green, blue, alpha, bin, hues.others);
-    int64_t units[kBlue + 1][kBlock];
-    for (int i = 0; i < n; ++i) {
-        units[kChroma][i] = units_of(smaller(chroma[i], kLargestAddend));
-        units[kAlpha][i] = units_of(clamped(alpha[i]));
-        units[kRed][i] = units_of(within_addends(red[i]));
-        units[kGreen][i] = units_of(within_addends(green[i]));
-        units[kBlue][i] = units_of(within_addends(blue[i]));
-    }
-    add_to_bins(measures.bins, n, bin, units, hues.bins);
-    return false;
+    return small;
 }
 
 }  // namespace

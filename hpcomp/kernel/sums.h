@@ -39,23 +39,6 @@ HPCOMP_INLINE bool all_small(int n, const Planes *...planes) {
     return (beyond >> 31) == 0;
 }
 
-HPCOMP_INLINE int64_t sum_of_run(const int32_t *units, int begin, int end) {
-    int64_t total = 0;
-    for (; begin < end; begin += kSmallRun) {
-        const int stop = end - begin < kSmallRun ? end : begin + kSmallRun;
-        int32_t sum = 0;
-        for (int i = begin; i < stop; ++i) sum += units[i];
-        total += sum;
-    }
-    return total;
-}
-
-HPCOMP_INLINE int64_t sum_of_run(const int64_t *units, int begin, int end) {
-    int64_t total = 0;
-    for (int i = begin; i < end; ++i) total += units[i];
-    return total;
-}
-
 // The sum of values from 0 up; `small`: none is larger than `kSmallAddend`.
 int64_t sum_of(const float *values, int n, bool small) {
     int64_t total = 0;
