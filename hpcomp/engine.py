@@ -2,7 +2,8 @@
 
 Both have the same face: `NAME`, and `start(rules, width, height, dtype)` for a strip, whose `add`
 takes layers, whose `result` gives samples, and whose `nonfinite` counts pixels with NaN or Inf; and
-the module named in `MEASURING`, whose `findings` say what blending did to the hues of a strip.
+the module named in `MEASURING`, whose `findings` say what blending did to the hues of a strip, and
+`result_and_findings` that beside the result.
 """
 
 from __future__ import annotations
@@ -89,5 +90,28 @@ def findings(
     module = import_module(measuring(rules).MEASURING)
     found: tuple[StackFindings, Provenance | None] = module.findings(
         rules, settings, bins, strips, width, height, with_provenance
+    )
+    return found
+
+
+def result_and_findings(
+    accumulator: Accumulator,
+    kind: str,
+    losses: Losses,
+    rules: StackRules,
+    settings: MeasureSettings,
+    bins: int,
+    strips: Sequence[Strip],
+    width: int,
+    height: int,
+    with_provenance: bool = False,
+) -> tuple[Samples, StackFindings, Provenance | None]:
+    """`accumulator.result` and `findings`, in one pass where the engine can.
+
+    `strips`: those that were added, at once; here bottom first.
+    """
+    module = import_module(measuring(rules).MEASURING)
+    found: tuple[Samples, StackFindings, Provenance | None] = module.result_and_findings(
+        accumulator, kind, losses, rules, settings, bins, strips, width, height, with_provenance
     )
     return found

@@ -41,7 +41,7 @@ from .report.stackreport import (
     preview_scale,
     render_stack_report,
 )
-from .samples import Rgba, Strip, encode
+from .samples import Rgba, Samples, Strip, encode
 
 #: The planes of a provenance file, in the order of the file.
 _PLANES = (("grey", "float"), ("layer", "uint"), ("margin", "float"))
@@ -200,6 +200,10 @@ def _weights(given: str | Sequence[float] | None) -> tuple[float, float, float]:
     return check_energy_weights(given)
 
 
+#: Of a strip: its findings, and its provenance where that is wanted.
+Found = tuple[StackFindings, Provenance | None]
+
+
 @dataclass(frozen=True)
 class StripEvidence:
     """That of one strip, on its way to `Evidence.write`."""
@@ -239,10 +243,23 @@ class Evidence:
         histograms = (layers + 2) * (bins + 1) * _BIN_BYTES * _FINDINGS_HELD
         return 24 + (64 if with_preview else 0), histograms + (layers + 4) * _BLOCK_BYTES + preview
 
-    def prepare(self, strips: Sequence[Strip], rows: Window) -> StripEvidence:
-        """That of the strip `rows` of the canvas; `strips`: of all layers, bottom first."""
+    def result(
+        self,
+        accumulator: engine.Accumulator,
+        strips: Sequence[Strip],
+        rows: Window,
+        kind: str,
+        losses: Losses,
+    ) -> tuple[Samples, Found]:
+        """The accumulated strip `rows` as samples, and what is found of it.
+
+        `strips`: of all layers, bottom first.
+        """
         with_provenance = self._provenance is not None or self._preview is not None
-        findings, provenance = engine.findings(
+        samples, findings, provenance = engine.result_and_findings(
+            accumulator,
+            kind,
+            losses,
             self._rules,
             self._settings,
             self._bins,
@@ -251,6 +268,11 @@ class Evidence:
             rows.height,
             with_provenance,
         )
+        return samples, (findings, provenance)
+
+    def prepare(self, strips: Sequence[Strip], rows: Window, found: Found) -> StripEvidence:
+        """That of the strip `rows` of the canvas; `strips`: of all layers, bottom first."""
+        findings, provenance = found
         pictures = None
         if self._preview is not None:
             plain = replace(self._rules, blending=BLENDINGS["traditional"])

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .compositing import StackRules
+from .encoding import Losses
 from .histogram import DEFAULT_BINS, HueHistogram, hue_histogram
 from .measures import (
     BLOCK_PIXELS,
@@ -24,7 +25,7 @@ from .measures import (
     measured,
     summed,
 )
-from .samples import Strip, cropped, linear_rgba, spread
+from .samples import Samples, Strip, cropped, linear_rgba, spread
 
 Array = NDArray[np.float32]
 
@@ -91,6 +92,14 @@ def findings(
         return found, None
     planes = (plane.reshape(height, width) for plane in vars(provenance).values())
     return found, Provenance(*planes)
+
+
+def result_and_findings(
+    accumulator: Any, kind: str, losses: Losses, *what: Any
+) -> tuple[Samples, StackFindings, Provenance | None]:
+    """The accumulated strip's samples, and the `findings` of `what`."""
+    samples: Samples = accumulator.result(kind, losses)
+    return samples, *findings(*what)
 
 
 def _histograms(

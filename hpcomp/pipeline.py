@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from threading import Lock
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
@@ -45,6 +45,8 @@ from .workers import Workers, thread_count
 if TYPE_CHECKING:  # only reports need them
     from .evidence import Evidence
     from .findings import StackFindings
+
+T = TypeVar("T")
 
 log = logging.getLogger("hpcomp")
 
@@ -375,16 +377,24 @@ def _run(
                 workers.composite(partial(accumulator.add, group, arrived))
                 if evidence is None:
                     arrived = []  # not to be held while the next ones arrive
-            finish = partial(_finished, accumulator, layers, rows, window, form, losses, lock)
-            prepare = partial(_prepared, finish, writer, rows.y - window.y)
-            write = writer.write
-            if evidence is not None:
-                by_number = list(arrived if group[0] == 0 else reversed(arrived))
-                prepare = partial(_both, prepare, partial(evidence.prepare, by_number, rows))
-                write = partial(_write_both, writer, evidence)
-                del by_number
-            workers.write_behind(prepare, write)
-            del accumulator, arrived, finish, prepare
+            begin = rows.y - window.y
+            finished = partial(_finished, accumulator, layers, rows, losses, lock)
+            if evidence is None:
+                plain = partial(accumulator.result, form.kind)
+                workers.write_behind(
+                    partial(_prepared, partial(finished, plain), writer, begin), writer.write
+                )
+                del plain
+            else:
+                strips_up = list(arrived if group[0] == 0 else reversed(arrived))
+                observed = partial(evidence.result, accumulator, strips_up, rows, form.kind)
+                tell = partial(evidence.prepare, strips_up, rows)
+                workers.write_behind(
+                    partial(_prepared_both, partial(finished, observed), writer, begin, tell),
+                    partial(_write_both, writer, evidence),
+                )
+                del strips_up, observed, tell
+            del accumulator, arrived, finished
         workers.flush()
     for what, seconds in workers.seconds.items():
         log.info("%s: %.3f s of all threads together", what, seconds)
@@ -400,30 +410,34 @@ def _finished(
     accumulator: engine.Accumulator,
     layers: Sequence[PlacedLayer],
     rows: Window,
-    window: Window,
-    form: OutputForm,
     losses: Losses,
     lock: Lock,
-) -> Samples:
-    """The strip `rows` as samples of the output."""
+    result: Callable[[Losses], T],
+) -> T:
+    """What `result` makes of the accumulated strip `rows`; a pixel of its layers may be refused."""
     lost = Losses()
-    samples = accumulator.result(form.kind, lost)
+    made = result(lost)
     with lock:
         losses.add(lost)
         for layer, count in zip(layers, accumulator.nonfinite, strict=True):
             if count:
                 top = max(rows.y - layer.dy, layer.reader.window.y)
                 layer.reader.note_nonfinite(top, count)
-    return samples
+    return made
 
 
 def _prepared(finish: Callable[[], Samples], writer: ImageWriter, begin: int) -> Any:
     return writer.prepare(begin, finish())
 
 
-def _both(first: Callable[[], Any], second: Callable[[], Any]) -> tuple[Any, Any]:
-    # In this order: a pixel that the first refuses is not measured.
-    return first(), second()
+def _prepared_both(
+    finish: Callable[[], tuple[Samples, Any]],
+    writer: ImageWriter,
+    begin: int,
+    tell: Callable[[Any], Any],
+) -> tuple[Any, Any]:
+    samples, found = finish()
+    return writer.prepare(begin, samples), tell(found)
 
 
 def _write_both(writer: ImageWriter, evidence: Evidence, prepared: tuple[Any, Any]) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import math
+from contextlib import nullcontext
 
 import numpy as np
 import pytest
@@ -25,7 +26,7 @@ from test_kernel import (
     unaligned,
 )
 
-from hpcomp import engine, findings, kernel, measures
+from hpcomp import encoding, engine, findings, kernel, measures
 from hpcomp.compositing import stack_rules
 from hpcomp.encoding import ColorEncoding
 from hpcomp.errors import SettingError
@@ -326,6 +327,31 @@ def test_parts_add_up_to_the_whole_exactly(name, order):
         assert total == whole
 
 
+@pytest.mark.parametrize("order", ORDERS)
+@pytest.mark.parametrize("name", ENGINES)
+def test_findings_beside_a_result_change_neither(name, order, monkeypatch):
+    """Of one pass, they are those of a pass of their own, and so is the result."""
+    monkeypatch.setenv(engine.VARIABLE, name)
+    rules = stack_rules(4, order=order, background=RED, opacity=[1, 0.5, 1, 0.25])
+    what = rules, measures.measure_settings(rules), 90, strips_of(broken(LAYERS)), 700, 3, True
+
+    def accumulated():
+        accumulator = engine.start(rules, 700, 3)
+        arriving = what[3] if rules.arrival[0] == 0 else what[3][::-1]
+        accumulator.add(list(rules.arrival), arriving)
+        return accumulator
+
+    alone, lost = encoding.Losses(), encoding.Losses()
+    with np.errstate(all="ignore"):
+        samples = accumulated().result("uint8", alone)
+        beside, *found = engine.result_and_findings(accumulated(), "uint8", lost, *what)
+        expected, planes = engine.findings(*what)
+    assert beside.tobytes() == samples.tobytes()
+    assert (lost, found[0]) == (alone, expected)
+    for plane, other in zip(vars(found[1]).values(), vars(planes).values(), strict=True):
+        assert np.array_equal(plane, other, equal_nan=True)
+
+
 def test_findings_of_no_pixel_and_of_other_settings():
     rules = stack_rules(2)
     none = findings.StackFindings.none(rules, measures.measure_settings(rules), 360)
@@ -474,18 +500,20 @@ GOOD = dict(zip(NAMES, (*sums(), *planes_of()), strict=True))
 
 
 def measure(**changed):
-    """`_kernel.measure` of two layers, but for what is changed."""
+    """`_kernel.measure` of two layers, but for what is changed: the pixels that it counts apart."""
     arguments = {
-        "rules": make_rules(),
         "limits": [1e-5, 0.02, 0.07, 0.99],
         "depends_on_order": True,
-        "layers": [make_layer(), make_layer()],
         "width": WIDTH,
         "height": HEIGHT,
         **{name: array.copy() for name, array in GOOD.items()},
-        "level": "",
     }
-    return _kernel.measure(**{**arguments, **changed})
+    stack = {"rules": make_rules(), "layers": [make_layer(), make_layer()], "level": ""}
+    for name, value in changed.items():
+        (stack if name in stack else arguments)[name] = value
+    measures = _kernel.measures(layers=changed.get("count", 2), **arguments)
+    _kernel.measure(measures=measures, **stack)
+    return measures.unmeasured, measures.order_sensitive
 
 
 class TestDoor:
@@ -665,6 +693,40 @@ class TestDoor:
             assert np.array_equal(2 * one[..., : one.shape[-1]], two)
         for one, two in zip(planes, again, strict=True):
             assert np.array_equal(one, two)
+
+    @pytest.mark.parametrize("changed", [{"layers": 3}, {"width": 4}, {"height": 1}])
+    def test_measures_belong_to_one_strip(self, changed):
+        size = {"layers": 2, "width": WIDTH, "height": HEIGHT, **changed}
+        good = (*sums(size["layers"]), *planes_of(size["height"], size["width"]))
+        measures_of_another = _kernel.measures(
+            limits=[1e-5, 0.02, 0.07, 0.99],
+            depends_on_order=True,
+            **size,
+            **dict(zip(NAMES, good, strict=True)),
+        )
+        accumulator = _kernel.Accumulator(make_rules(), WIDTH, HEIGHT)
+        accumulator.add([0, 1], [make_layer(), make_layer()])
+        out = np.empty((HEIGHT, WIDTH, 4), np.float32)
+        with refused():
+            accumulator.result(out, None, None, 1, [0.0] * 4, measures_of_another)
+
+    @pytest.mark.parametrize("at_once", [1, 2])
+    def test_layers_are_measured_when_all_come_at_once(self, at_once):
+        wanted = _kernel.measures(
+            limits=[1e-5, 0.02, 0.07, 0.99],
+            depends_on_order=True,
+            layers=2,
+            width=WIDTH,
+            height=HEIGHT,
+            **dict(zip(NAMES, (*sums(), *planes_of()), strict=True)),
+        )
+        accumulator = _kernel.Accumulator(make_rules(), WIDTH, HEIGHT)
+        for begin in range(0, 2, at_once):
+            numbers = list(range(begin, begin + at_once))
+            accumulator.add(numbers, [make_layer() for _ in numbers])
+        out = np.empty((HEIGHT, WIDTH, 4), np.float32)
+        with nullcontext() if at_once == 2 else refused():
+            accumulator.result(out, None, None, 1, [0.0] * 4, wanted)
 
     @pytest.mark.parametrize("stride", STRIDED)
     def test_layers_are_checked_where_they_are_made(self, stride):

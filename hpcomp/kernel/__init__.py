@@ -78,10 +78,13 @@ class Accumulator:
             if number not in self._decoded:
                 self.nonfinite[number] += count
 
-    def result(self, kind: str, losses: Losses) -> Samples:
-        """The composite (height, width, 4), as samples of that kind."""
+    def result(self, kind: str, losses: Losses, measures: Any = None) -> Samples:
+        """The composite (height, width, 4), as samples of that kind.
+
+        `measures`: a `_kernel.Measures` to add to; all layers have been added at once.
+        """
         out = np.empty(self.shape, OUTPUT_TYPES[kind])
-        counts, nonfinite = self._strip.result(out, *_codes(out.dtype))
+        counts, nonfinite = self._strip.result(out, *_codes(out.dtype), measures)
         losses.out_of_gamut += counts[0]
         losses.light_without_alpha += counts[1]
         losses.not_a_number += counts[2]

@@ -65,14 +65,18 @@ HPCOMP_INLINE State state_at(const State &state, int64_t pixel) {
 }
 
 void add_layers(const Rules &rules, const Layer *layers, const int *numbers, int count, int width,
-                int height, const State &state, int64_t *nonfinite) {
+                int height, const State &state, int64_t *nonfinite, const Observer *observer) {
     for (int y = 0; y < height; ++y) {
         for (int x = 0; x < width; x += kBlock) {
             const int n = width - x < kBlock ? width - x : kBlock;
             const State at = state_at(state, int64_t(y) * width + x);
             for (int k = 0; k < count; ++k) {
-                Plane luminance, p0, p1, alpha, lo, hi;
-                nonfinite[k] += load_term(rules, layers[k], x, y, n, luminance, p0, p1, alpha, lo, hi);
+                Plane red, green, blue, luminance, p0, p1, alpha, lo, hi;
+                nonfinite[k] += load_term(rules, layers[k], x, y, n, red, green, blue, luminance, p0,
+                                          p1, alpha, lo, hi);
+                if (observer)
+                    observer->term(observer->self, numbers[k], n, red, green, blue, alpha, luminance,
+                                   p0, p1);
                 if (rules.order == Order::kFrontToBack) {
                     under_all(rules, n, luminance, p0, p1, alpha, lo, hi, at);
                 } else if (numbers[k] == 0) {
@@ -88,6 +92,7 @@ void add_layers(const Rules &rules, const Layer *layers, const int *numbers, int
                     above_all(rules, layers[k], n, luminance, p0, p1, alpha, lo, hi, at);
                 }
             }
+            if (observer) observer->block(observer->self, x, y, n);
         }
     }
 }
@@ -96,7 +101,7 @@ void add_layers(const Rules &rules, const Layer *layers, const int *numbers, int
 
 // `scratch` holds `scratch_floats` of them.
 void reduce_layers(const Rules &rules, const Layer *layers, int count, int width, int height,
-                   const State &state, float *scratch, int64_t *nonfinite) {
+                   const State &state, float *scratch, int64_t *nonfinite, const Observer *observer) {
     float *p = scratch;                                  // (count, 2, kBlock)
     float *luminance = p + int64_t(count) * 2 * kBlock;  // (count, kBlock), then the factors:
     float *f_a = luminance + int64_t(count) * kBlock, *f_b = f_a + int64_t(count) * kBlock;
@@ -107,13 +112,15 @@ void reduce_layers(const Rules &rules, const Layer *layers, int count, int width
             const int n = width - x < kBlock ? width - x : kBlock;
             const State at = state_at(state, int64_t(y) * width + x);
             for (int k = 0; k < count; ++k) {
-                Plane alpha, lo, hi;
-                float *p0 = p + int64_t(k) * 2 * kBlock;
+                Plane red, green, blue, alpha, lo, hi;
+                float *p0 = p + int64_t(k) * 2 * kBlock, *of = luminance + k * kBlock;
                 float *layer_a = f_a + k * kBlock, *layer_b = f_b + k * kBlock;
                 // Lanes beyond the row take part in the reduction, and must be harmless.
                 std::memset(p0, 0, 2 * sizeof(Plane));
-                nonfinite[k] += load_term(rules, layers[k], x, y, n, luminance + k * kBlock, p0,
+                nonfinite[k] += load_term(rules, layers[k], x, y, n, red, green, blue, of, p0,
                                           p0 + kBlock, alpha, lo, hi);
+                if (observer)
+                    observer->term(observer->self, k, n, red, green, blue, alpha, of, p0, p0 + kBlock);
                 factors(layers[k], k, n, alpha, layer_a, layer_b, at.alpha);
                 if (rules.maps == Maps::kLinear) continue;
                 if (k == 0) {
@@ -127,6 +134,7 @@ void reduce_layers(const Rules &rules, const Layer *layers, int count, int width
             reduce_terms(rules, p, count, n, pairs, there);
             std::memcpy(at.p0, p, n * sizeof(float));
             std::memcpy(at.p1, p + kBlock, n * sizeof(float));
+            if (observer) observer->block(observer->self, x, y, n);
         }
     }
 }

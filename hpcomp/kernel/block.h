@@ -99,14 +99,23 @@ struct Losses {
     int64_t out_of_gamut, light_without_alpha, not_a_number, beyond_half;
 };
 
-// What the door calls; one set for each instruction set.
+// Is shown each block of each layer on its way, and then where the block is; `self` is its own.
+struct Observer {
+    void *self;
+    // Planes of `n` pixels of layer `number`: its colours and its alpha, its luminance and its p.
+    void (*term)(void *self, int number, int n, const float *red, const float *green, const float *blue,
+                 const float *alpha, const float *luminance, const float *p0, const float *p1);
+    void (*block)(void *self, int x, int y, int n);
+};
+
+// What the door calls; one set for each instruction set. An observer may be null.
 struct Engine {
     // Adds layers to the accumulated strip of `width` x `height`; `nonfinite` counts pixels a layer.
     void (*add)(const Rules &, const Layer *, const int *numbers, int count, int width, int height,
-                const State &, int64_t *nonfinite);
+                const State &, int64_t *nonfinite, const Observer *);
     // Reduces all layers of a strip at once, into `State`.
     void (*reduce)(const Rules &, const Layer *, int count, int width, int height, const State &,
-                   float *scratch, int64_t *nonfinite);
+                   float *scratch, int64_t *nonfinite, const Observer *);
     // The strip over its background, exposed, as samples.
     void (*finish)(const Rules &, int64_t pixels, const State &, const Output &, Losses *);
 };

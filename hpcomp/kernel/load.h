@@ -155,12 +155,11 @@ HPCOMP_INLINE void to_terms(const Rules &rules, int n, const float *red, const f
     }
 }
 
-// A block of a layer as a term: luminance, p and alpha, and where the maps are not linear what
+// A block of a layer, and as a term: luminance, p and alpha, and where the maps are not linear what
 // bounds its channels. Returns as `load` does.
-HPCOMP_INLINE int64_t load_term(const Rules &rules, const Layer &layer, int x, int y, int n,
-                                float *luminance, float *p0, float *p1, float *alpha, float *lo,
-                                float *hi) {
-    Plane red, green, blue;
+HPCOMP_INLINE int64_t load_term(const Rules &rules, const Layer &layer, int x, int y, int n, float *red,
+                                float *green, float *blue, float *luminance, float *p0, float *p1,
+                                float *alpha, float *lo, float *hi) {
     const int64_t nonfinite = load(layer, x, y, n, red, green, blue, alpha);
     to_terms(rules, n, red, green, blue, luminance, p0, p1);
     if (rules.maps != Maps::kLinear) {

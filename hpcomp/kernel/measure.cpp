@@ -245,27 +245,6 @@ bool is_nothing(const float *red, const float *green, const float *blue, const f
     return (any & 0x7fffffffu) == 0;
 }
 
-// A block of a layer as a term, before its weight; its colours are added to its histogram.
-void measure_layer(const Rules &rules, const MeasureRules &measures, const Layer &layer, int x, int y,
-                   int n, Hues hues, float *luminance, float *p0, float *p1, float *alpha) {
-    Plane red, green, blue, chroma;
-    load(layer, x, y, n, red, green, blue, alpha);
-    const bool nothing = is_nothing(red, green, blue, alpha, n);
-    if (nothing || n < kBlock) {
-        // Lanes beyond the row take part in the reduction, and must be harmless.
-        std::memset(p0, 0, sizeof(Plane));
-        std::memset(p1, 0, sizeof(Plane));
-    }
-    if (nothing) {
-        hues.others[kTransparent] += n;
-        std::memset(luminance, 0, sizeof(Plane));
-        return;
-    }
-    to_terms(rules, n, red, green, blue, luminance, p0, p1);
-    for (int i = 0; i < n; ++i) chroma[i] = length(p0[i], p1[i]);
-    add_hues(measures, n, red, green, blue, alpha, chroma, hues);
-}
-
 // Sizes of the terms, and which of them are anything here. Returns whether all can be measured.
 bool find_active(Block &block, const float *luminance, Row total) {
     const uint32_t largest = bits_of(kLargestMeasured) - 1, sign = 0x80000000u;
@@ -342,79 +321,109 @@ int order_sensitive(const Block &block, const Support &support, const float *chr
     return sensitive;
 }
 
-// `scratch` holds `measure_floats` of them.
-void measure(const Rules &rules, const MeasureRules &measures, const Layer *layers, int count,
-             int width, int height, float *scratch, Measures *found) {
-    const int64_t terms = count + 1;
-    float *p = scratch, *luminance = p + terms * 2 * kBlock, *f_a = luminance + terms * kBlock;
-    float *f_b = f_a + terms * kBlock, *size = f_b + terms * kBlock, *near = size + terms * kBlock;
-    int *active = reinterpret_cast<int *>(near + terms * kBlock);
-    float *reducing = near + 2 * terms * kBlock;
-    const int64_t hue_rows = int64_t(measures.bins) * kHueColumns;
-    const int64_t result_sums = kResultSums + kContributorSums * terms;
-    const auto hues_of = [&](int k) {
-        return Hues{found->hues + k * hue_rows, found->others + k * kOthers};
-    };
-    float *below = p + int64_t(count) * 2 * kBlock;
-    std::memset(below, 0, 2 * sizeof(Plane));
-    std::memset(luminance + count * kBlock, 0, sizeof(Plane));
-    for (int y = 0; y < height; ++y) {
-        for (int x = 0; x < width; x += kBlock) {
-            const int n = width - x < kBlock ? width - x : kBlock;
-            Plane alpha, sum, total;
-            for (int k = 0; k < count; ++k) {
-                Plane own_alpha;
-                float *p0 = p + int64_t(k) * 2 * kBlock;
-                measure_layer(rules, measures, layers[k], x, y, n, hues_of(k), luminance + k * kBlock, p0,
-                              p0 + kBlock, own_alpha);
-                factors(layers[k], k, n, own_alpha, f_a + k * kBlock, f_b + k * kBlock, alpha);
-            }
-            weigh(count, n, f_a, f_b, luminance, p, sum);
-            if (rules.has_background) {
-                for (int i = 0; i < n; ++i) {
-                    const float uncovered = 1 - alpha[i];
-                    luminance[count * kBlock + i] = uncovered * rules.background_luminance;
-                    sum[i] += luminance[count * kBlock + i];
-                    below[i] = uncovered * rules.background_p[0];
-                    below[kBlock + i] = uncovered * rules.background_p[1];
-                    alpha[i] = 1;
-                }
-            }
-            Block block{rules, measures, layers, n, count, p, size, near, active, 0, false, sum, total, alpha};
-            if (!find_active(block, luminance, total)) {
-                found->unmeasured += take_out_unknown(int(terms), n, p, luminance, sum, alpha);
-                std::memset(luminance, 0, size_t(terms) * sizeof(Plane));
-                find_active(block, luminance, total);
-            }
+// The parts of a measurer's scratch, by terms: p twice as long as the others.
+struct Scratch {
+    float *p, *luminance, *alpha, *f_a, *f_b, *size, *near, *reducing;
+    int *active;
 
-            Plane p0, p1, chromatic;
-            Support support;
-            const auto measure_as = [&](int which) {
-                support_of(block, p0, p1, &support);
-                measure_result(block, p0, p1, support, found->results + which * result_sums,
-                               hues_of(count + which), chromatic);
-            };
-            for (int i = 0; i < n; ++i) p0[i] = p1[i] = 0;
-            for (int a = 0; a < block.actives; ++a) {
-                const float *px = block.x(active[a]), *py = block.y(active[a]);
-                for (int i = 0; i < n; ++i) p0[i] += px[i], p1[i] += py[i];
-            }
-            if (block.actives <= 1) {
-                measure_as(kBothResults);  // nothing was blended
-            } else {
-                measure_as(kTraditional);
-                reduce(block, reducing, p0, p1);
-                measure_as(kAsBlended);
-            }
-            if (found->provenance.layer != nullptr) {
-                const int64_t at = int64_t(y) * width + x;
-                const Provenance &all = found->provenance;
-                set_provenance(block, support, {all.layer + at, all.grey + at, all.margin + at});
-            }
-            if (measures.depends_on_order && block.actives > 2)  // two terms have no order
-                found->order_sensitive += order_sensitive(block, support, chromatic);
+    explicit Scratch(const Measurer &of) {
+        const int64_t row = int64_t(of.count + 1) * kBlock;
+        p = of.scratch;
+        luminance = p + 2 * row, alpha = luminance + row, f_a = alpha + row, f_b = f_a + row;
+        size = f_b + row, near = size + row;
+        active = reinterpret_cast<int *>(near + row);
+        reducing = near + 2 * row;
+    }
+};
+
+Hues hues_of(const Measurer &of, int k) {
+    return {of.found->hues + int64_t(k) * of.measures->bins * kHueColumns, of.found->others + k * kOthers};
+}
+
+// Keeps a block of a layer as a term, and adds its colours to its histogram.
+void observe_term(void *self, int k, int n, const float *red, const float *green, const float *blue,
+                  const float *alpha, const float *luminance, const float *p0, const float *p1) {
+    const Measurer &of = *static_cast<const Measurer *>(self);
+    const Scratch scratch(of);
+    float *x = scratch.p + int64_t(k) * 2 * kBlock, *y = x + kBlock, *to = scratch.luminance + k * kBlock;
+    std::memcpy(scratch.alpha + k * kBlock, alpha, n * sizeof(float));
+    const bool nothing = is_nothing(red, green, blue, alpha, n);
+    if (nothing || n < kBlock) {
+        // Lanes beyond the row take part in the reduction, and must be harmless.
+        std::memset(x, 0, 2 * sizeof(Plane));
+        std::memset(to, 0, sizeof(Plane));
+    }
+    if (nothing) {
+        hues_of(of, k).others[kTransparent] += n;
+        return;
+    }
+    Plane chroma;
+    ConstRow px = p0, py = p1;
+    for (int i = 0; i < n; ++i) chroma[i] = length(px[i], py[i]);
+    add_hues(*of.measures, n, red, green, blue, alpha, chroma, hues_of(of, k));
+    std::memcpy(x, p0, n * sizeof(float));
+    std::memcpy(y, p1, n * sizeof(float));
+    std::memcpy(to, luminance, n * sizeof(float));
+}
+
+// Measures a block whose terms have all been kept.
+void observe_block(void *self, int column, int row, int n) {
+    const Measurer &of = *static_cast<const Measurer *>(self);
+    const Rules &rules = *of.rules;
+    const int count = of.count;
+    const Scratch scratch(of);
+    float *p = scratch.p, *luminance = scratch.luminance;
+    Plane alpha, sum, total;
+    for (int k = 0; k < count; ++k)
+        factors(of.layers[k], k, n, scratch.alpha + k * kBlock, scratch.f_a + k * kBlock,
+                scratch.f_b + k * kBlock, alpha);
+    weigh(count, n, scratch.f_a, scratch.f_b, luminance, p, sum);
+    if (rules.has_background) {
+        float *below = p + int64_t(count) * 2 * kBlock, *light = luminance + count * kBlock;
+        for (int i = 0; i < n; ++i) {
+            const float uncovered = 1 - alpha[i];
+            light[i] = uncovered * rules.background_luminance;
+            sum[i] += light[i];
+            below[i] = uncovered * rules.background_p[0];
+            below[kBlock + i] = uncovered * rules.background_p[1];
+            alpha[i] = 1;
         }
     }
+    Block block{rules, *of.measures, of.layers, n, count, p, scratch.size, scratch.near, scratch.active,
+                0, false, sum, total, alpha};
+    if (!find_active(block, luminance, total)) {
+        of.found->unmeasured += take_out_unknown(count + 1, n, p, luminance, sum, alpha);
+        std::memset(luminance, 0, size_t(count + 1) * sizeof(Plane));
+        find_active(block, luminance, total);
+    }
+
+    Plane p0, p1, chromatic;
+    Support support;
+    const auto measure_as = [&](int which) {
+        support_of(block, p0, p1, &support);
+        measure_result(block, p0, p1, support,
+                       of.found->results + which * (kResultSums + kContributorSums * (count + 1)),
+                       hues_of(of, count + which), chromatic);
+    };
+    for (int i = 0; i < n; ++i) p0[i] = p1[i] = 0;
+    for (int a = 0; a < block.actives; ++a) {
+        ConstRow x = block.x(block.active[a]), y = block.y(block.active[a]);
+        for (int i = 0; i < n; ++i) p0[i] += x[i], p1[i] += y[i];
+    }
+    if (block.actives <= 1) {
+        measure_as(kBothResults);  // nothing was blended
+    } else {
+        measure_as(kTraditional);
+        reduce(block, scratch.reducing, p0, p1);
+        measure_as(kAsBlended);
+    }
+    if (of.found->provenance.layer != nullptr) {
+        const int64_t at = int64_t(of.top + row) * of.width + column;
+        const Provenance &all = of.found->provenance;
+        set_provenance(block, support, {all.layer + at, all.grey + at, all.margin + at});
+    }
+    if (of.measures->depends_on_order && block.actives > 2)  // two terms have no order
+        of.found->order_sensitive += order_sensitive(block, support, chromatic);
 }
 
 }  // namespace
@@ -422,6 +431,6 @@ void measure(const Rules &rules, const MeasureRules &measures, const Layer *laye
 #define HPCOMP_JOINED(prefix, level) prefix##level
 #define HPCOMP_SYMBOL(prefix, level) HPCOMP_JOINED(prefix, level)
 extern const Measuring HPCOMP_SYMBOL(measuring_, HPCOMP_LEVEL);
-const Measuring HPCOMP_SYMBOL(measuring_, HPCOMP_LEVEL) = {measure};
+const Measuring HPCOMP_SYMBOL(measuring_, HPCOMP_LEVEL) = {observe_term, observe_block};
 
 }  // namespace hpcomp

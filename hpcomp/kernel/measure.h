@@ -44,12 +44,24 @@ struct Measures {
 
 // Floats of scratch for `n` layers.
 constexpr int64_t measure_floats(Order order, int64_t n) {
-    return (n + 1) * 8 * kBlock + scratch_floats(order, n);
+    return (n + 1) * 9 * kBlock + scratch_floats(order, n);
 }
 
+// Measures all layers of a strip as they are composited, bottom first or from the front.
+struct Measurer {
+    const Rules *rules;
+    const MeasureRules *measures;
+    const Layer *layers;  // bottom first
+    int count;
+    int width, top;       // of the strip; the row of it where the rows begin that are composited
+    float *scratch;       // `measure_floats`, zeros before the first block
+    Measures *found;
+};
+
+// What an observer calls whose own is a `Measurer`.
 struct Measuring {
-    void (*measure)(const Rules &, const MeasureRules &, const Layer *, int count, int width,
-                    int height, float *scratch, Measures *);
+    decltype(Observer::term) term;
+    decltype(Observer::block) block;
 };
 
 }  // namespace hpcomp

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..compositing import StackRules
+from ..encoding import Losses
 from ..findings import StackFindings
 from ..histogram import HueHistogram
 from ..measures import (
@@ -18,13 +19,69 @@ from ..measures import (
     ResultMeasures,
     StackMeasures,
 )
-from ..samples import Strip
-from . import _kernel, chosen_level, layer_of, rules_of  # type: ignore[attr-defined]
+from ..samples import Samples, Strip
+from . import Accumulator, _kernel, chosen_level, layer_of, rules_of  # type: ignore[attr-defined]
 
 #: The columns of the sums in `measure.h`.
 _RESULT_SUMS, _CONTRIBUTOR_SUMS, _HUE_COLUMNS = 7, 4, 8
 #: As blended, traditional, and what is to be added to both.
 _RESULTS = 3
+
+
+class _StripSums:
+    """What the loops add to, of one strip of `layers` layers, and the findings that it makes."""
+
+    def __init__(
+        self,
+        rules: StackRules,
+        settings: MeasureSettings,
+        bins: int,
+        layers: int,
+        width: int,
+        height: int,
+        with_provenance: bool,
+    ) -> None:
+        self._rules, self._settings, self._n, self._pixels = rules, settings, layers, width * height
+        self._results = np.zeros(
+            (_RESULTS, _RESULT_SUMS + _CONTRIBUTOR_SUMS * (layers + 1)), np.int64
+        )
+        self._hues = np.zeros((layers + _RESULTS, bins, _HUE_COLUMNS), np.int64)
+        self._others = np.zeros((layers + _RESULTS, 3), np.int64)
+        self._provenance = Provenance.none((height, width)) if with_provenance else None
+        tolerance = Angle.of(settings.foreign_tolerance)
+        sine, cosine = float(tolerance.sine), float(tolerance.cosine)
+        self.measures = _kernel.measures(
+            [settings.half_step, settings.achromatic, sine, cosine],
+            rules.blending.depends_on_order,
+            layers,
+            width,
+            height,
+            self._results,
+            self._hues,
+            self._others,
+            *((None,) * 3 if self._provenance is None else vars(self._provenance).values()),
+        )
+
+    def findings(self) -> tuple[StackFindings, Provenance | None]:
+        """To be asked for once."""
+        n = self._n
+        for sums in (self._results, self._hues[n:], self._others[n:]):
+            sums[:-1] += sums[-1]
+        histograms = [
+            _histogram(self._rules, self._settings, rows, rest.tolist())
+            for rows, rest in zip(self._hues[:-1], self._others[:-1], strict=True)
+        ]
+        result, traditional = (_result_measures(sums, n) for sums in self._results[:-1].tolist())
+        measures = StackMeasures(
+            self._settings,
+            result,
+            traditional,
+            pixels=self._pixels,
+            unmeasured=self.measures.unmeasured,
+            order_sensitive=self.measures.order_sensitive,
+        )
+        found = StackFindings(measures, tuple(histograms[:n]), *histograms[n:])
+        return found, self._provenance
 
 
 def findings(
@@ -37,41 +94,28 @@ def findings(
     with_provenance: bool = False,
 ) -> tuple[StackFindings, Provenance | None]:
     """The findings of a strip, all its layers bottom first; provenance planes (height, width)."""
-    n = len(strips)
-    results = np.zeros((_RESULTS, _RESULT_SUMS + _CONTRIBUTOR_SUMS * (n + 1)), np.int64)
-    hues = np.zeros((n + _RESULTS, bins, _HUE_COLUMNS), np.int64)
-    others = np.zeros((n + _RESULTS, 3), np.int64)
-    provenance = Provenance.none((height, width)) if with_provenance else None
-    tolerance = Angle.of(settings.foreign_tolerance)
-    unmeasured, order_sensitive = _kernel.measure(
-        rules_of(rules),
-        [settings.half_step, settings.achromatic, float(tolerance.sine), float(tolerance.cosine)],
-        rules.blending.depends_on_order,
-        [layer_of(rules, k, strip, width, height)[0] for k, strip in enumerate(strips)],
-        width,
-        height,
-        results,
-        hues,
-        others,
-        *((None,) * 3 if provenance is None else vars(provenance).values()),
-        chosen_level(),
-    )
-    for sums in (results, hues[n:], others[n:]):
-        sums[:-1] += sums[-1]
-    histograms = [
-        _histogram(rules, settings, rows, rest.tolist())
-        for rows, rest in zip(hues[:-1], others[:-1], strict=True)
-    ]
-    result, traditional = (_result_measures(sums, n) for sums in results[:-1].tolist())
-    measures = StackMeasures(
-        settings,
-        result,
-        traditional,
-        pixels=width * height,
-        unmeasured=unmeasured,
-        order_sensitive=order_sensitive,
-    )
-    return StackFindings(measures, tuple(histograms[:n]), *histograms[n:]), provenance
+    sums = _StripSums(rules, settings, bins, len(strips), width, height, with_provenance)
+    layers = [layer_of(rules, k, strip, width, height)[0] for k, strip in enumerate(strips)]
+    _kernel.measure(rules_of(rules), layers, sums.measures, chosen_level())
+    return sums.findings()
+
+
+def result_and_findings(
+    accumulator: Accumulator,
+    kind: str,
+    losses: Losses,
+    rules: StackRules,
+    settings: MeasureSettings,
+    bins: int,
+    strips: Sequence[Strip],
+    width: int,
+    height: int,
+    with_provenance: bool = False,
+) -> tuple[Samples, StackFindings, Provenance | None]:
+    """The strip's samples and its findings, from one pass; its layers have been added at once."""
+    sums = _StripSums(rules, settings, bins, len(strips), width, height, with_provenance)
+    samples = accumulator.result(kind, losses, sums.measures)
+    return samples, *sums.findings()
 
 
 def _histogram(

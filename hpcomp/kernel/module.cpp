@@ -8,6 +8,7 @@
 #include <nanobind/stl/pair.h>
 #include <nanobind/stl/shared_ptr.h>
 #include <nanobind/stl/string.h>
+#include <nanobind/stl/unique_ptr.h>
 #include <nanobind/stl/vector.h>
 
 #include <algorithm>
@@ -175,12 +176,74 @@ std::shared_ptr<StackRules> make_rules(int blending, float tolerance, float roun
     return made;
 }
 
+using Sums = nb::ndarray<int64_t, nb::c_contig, nb::device::cpu>;
+using Numbers = nb::ndarray<uint32_t, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
+using Values = nb::ndarray<float, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
+
+template <class Array>
+auto *checked_values(const std::optional<Array> &array, int64_t height, int64_t width) {
+    using Value = std::remove_pointer_t<decltype(array->data())>;
+    if (!array) return static_cast<Value *>(nullptr);
+    if (int64_t(array->shape(0)) != height || int64_t(array->shape(1)) != width)
+        throw nb::value_error("provenance must be height x width");
+    check_aligned(array->data(), sizeof(Value));
+    return array->data();
+}
+
+void check_sums(const Sums &sums, std::initializer_list<int64_t> shape) {
+    size_t axis = 0;
+    bool fits = sums.ndim() == shape.size();
+    for (const int64_t size : shape) {
+        fits = fits && int64_t(sums.shape(axis)) == size;
+        ++axis;
+    }
+    if (!fits) throw nb::value_error("sums of another shape are needed");
+    check_aligned(sums.data(), sizeof(int64_t));
+}
+
+// The sums that the measures of a strip are added to, see `measure.h`, and its planes of provenance.
+struct StripMeasures {
+    MeasureRules rules{};
+    Measures found{};
+    int64_t layers, width, height;
+    Sums results, hues, others;
+    std::optional<Numbers> layer;
+    std::optional<Values> grey, margin;
+};
+
+std::unique_ptr<StripMeasures> make_measures(std::array<float, 4> limits, bool depends_on_order,
+                                             int64_t layers, int64_t width, int64_t height, Sums results,
+                                             Sums hues, Sums others, std::optional<Numbers> layer,
+                                             std::optional<Values> grey, std::optional<Values> margin) {
+    if (layers < 1 || layers > (1 << 20)) throw nb::value_error("a stack needs layers");
+    if (width < 1 || height < 1) throw nb::value_error("a strip needs pixels");
+    const int64_t bins = hues.ndim() == 3 ? int64_t(hues.shape(1)) : 0;
+    if (bins < 1 || bins > (1 << 16)) throw nb::value_error("hues need bins");
+    check_sums(results, {kResults, kResultSums + kContributorSums * (layers + 1)});
+    check_sums(hues, {layers + kResults, bins, kHueColumns});
+    check_sums(others, {layers + kResults, kOthers});
+    const bool wanted = layer.has_value();
+    if (wanted != grey.has_value() || wanted != margin.has_value())
+        throw nb::value_error("provenance is three arrays or none");
+    auto made = std::make_unique<StripMeasures>();
+    made->found.results = results.data();
+    made->found.hues = hues.data();
+    made->found.others = others.data();
+    made->found.provenance = {checked_values(layer, height, width), checked_values(grey, height, width),
+                              checked_values(margin, height, width)};
+    made->rules = {limits[0], limits[1], limits[2], limits[3], depends_on_order, int(bins)};
+    made->layers = layers, made->width = width, made->height = height;
+    made->results = std::move(results), made->hues = std::move(hues), made->others = std::move(others);
+    made->layer = std::move(layer), made->grey = std::move(grey), made->margin = std::move(margin);
+    return made;
+}
+
 class Accumulator {
   public:
     Accumulator(std::shared_ptr<StackRules> rules, int64_t width, int64_t height,
                 const std::string &level)
-        : rules_(std::move(rules)), engine_(level_of(level).engine), width_(checked_coordinate(width)),
-          height_(checked_coordinate(height)) {
+        : rules_(std::move(rules)), level_(level_of(level)), engine_(level_.engine),
+          width_(checked_coordinate(width)), height_(checked_coordinate(height)) {
         if (width < 1 || height < 1) throw nb::value_error("a strip needs pixels");
     }
 
@@ -210,23 +273,24 @@ class Accumulator {
             for (const StripLayer &strip : taken) layers.push_back(strip.layer);
             nb::gil_scoped_release unlocked;
             engine_->add(rules_->rules, layers.data(), numbers.data(), int(numbers.size()), width_,
-                         height_, state_, nonfinite.data());
+                         height_, state_, nonfinite.data(), nullptr);
         } else {
             for (const StripLayer *strip : strips) held_.push_back(*strip);
         }
         return nonfinite;
     }
 
-    // Writes the strip to `out`; returns the counts of `Losses`, and of the layers as `add` does.
+    // Writes the strip to `out`, and measures it if all layers came at once; returns the counts of
+    // `Losses`, and of the layers as `add` does.
     std::pair<std::vector<int64_t>, std::vector<int64_t>>
     result(nb::ndarray<nb::device::cpu, nb::c_contig> out, std::optional<Table> thresholds,
-           std::optional<CodeTable> first_code, int bucket_bits, std::array<float, 4> limits) {
+           std::optional<CodeTable> first_code, int bucket_bits, std::array<float, 4> limits,
+           StripMeasures *measures) {
         if (out.ndim() != 3 || int64_t(out.shape(0)) != height_ || int64_t(out.shape(1)) != width_ ||
             out.shape(2) != 4)
             throw nb::value_error("out must be height x width x 4");
         check_aligned(out.data(), out.dtype().bits / 8);
-        if (come_ != rules_->rules.layers) throw nb::value_error("not all layers have come");
-        if (finished_) throw nb::value_error("the result has been taken");
+        check_finished(measures);
         Output output{};
         output.samples = out.data();
         output.type = sample_of(out.dtype());
@@ -241,8 +305,8 @@ class Accumulator {
         {
             const nb::gil_scoped_release unlocked;
             if (waits_)
-                reduce_in_bands(std::move(layers), output, int64_t(out.dtype().bits / 8), &losses,
-                                nonfinite.data());
+                reduce_in_bands(std::move(layers), &output, int64_t(out.dtype().bits / 8), &losses,
+                                nonfinite.data(), measures);
             else
                 engine_->finish(rules_->rules, int64_t(height_) * width_, state_, output, &losses);
         }
@@ -251,7 +315,29 @@ class Accumulator {
                 nonfinite};
     }
 
+    // Measures the strip alone.
+    void measure(StripMeasures &measures) {
+        check_finished(&measures);
+        finished_ = true;
+        const std::vector<StripLayer> held = std::move(held_);
+        std::vector<int64_t> nonfinite(held.size(), 0);
+        std::vector<Layer> layers;
+        for (const StripLayer &strip : held) layers.push_back(strip.layer);
+        const nb::gil_scoped_release unlocked;
+        reduce_in_bands(std::move(layers), nullptr, 0, nullptr, nonfinite.data(), &measures);
+    }
+
   private:
+    void check_finished(const StripMeasures *measures) const {
+        if (come_ != rules_->rules.layers) throw nb::value_error("not all layers have come");
+        if (finished_) throw nb::value_error("the result has been taken");
+        if (measures == nullptr) return;
+        if (!waits_) throw nb::value_error("layers are measured when all come at once");
+        if (rules_->rules.maps != Maps::kLinear) throw nb::value_error("linear spaces alone are measured");
+        if (measures->layers != come_ || measures->width != width_ || measures->height != height_)
+            throw nb::value_error("measures of another strip");
+    }
+
     bool folds() const {
         return rules_->rules.order == Order::kBottomUp || rules_->rules.order == Order::kFrontToBack;
     }
@@ -273,26 +359,41 @@ class Accumulator {
         std::fill(plane + 4 * pixels, plane + 5 * pixels, 1.0f);
     }
 
-    // All layers, from samples to samples in bands whose planes stay in cache.
-    void reduce_in_bands(std::vector<Layer> layers, const Output &output, int64_t sample_bytes,
-                         Losses *losses, int64_t *nonfinite) {
+    // All layers, from samples to samples in bands whose planes stay in cache. Without an output the
+    // layers are measured alone.
+    void reduce_in_bands(std::vector<Layer> layers, const Output *output, int64_t sample_bytes,
+                         Losses *losses, int64_t *nonfinite, StripMeasures *measures) {
         const Rules &rules = rules_->rules;
         const int n = int(layers.size());
         std::vector<int> numbers(layers.size());
+        std::vector<Layer> by_number(layers);
         for (int i = 0; i < n; ++i)
             numbers[size_t(i)] = rules.order == Order::kFrontToBack ? n - 1 - i : i;
+        for (int i = 0; i < n; ++i) by_number[size_t(numbers[size_t(i)])] = layers[size_t(i)];
         std::vector<float> scratch(folds() ? 0 : size_t(scratch_floats(rules.order, n)));
+        std::vector<float> measuring(measures ? size_t(measure_floats(rules.order, n)) : 0);
+        Measurer measurer{};
+        if (measures)
+            measurer = {&rules, &measures->rules, by_number.data(), n, width_, 0, measuring.data(),
+                        &measures->found};
+        const Observer watching{&measurer, level_.measuring->term, level_.measuring->block};
+        const Observer *observer = measures ? &watching : nullptr;
         const int band = std::max(1, kBandPixels / width_);
         for (int y = 0; y < height_; y += band) {
             const int rows = std::min(band, height_ - y);
             begin_planes(rows);
+            measurer.top = y;
             if (folds())
-                engine_->add(rules, layers.data(), numbers.data(), n, width_, rows, state_, nonfinite);
+                engine_->add(rules, layers.data(), numbers.data(), n, width_, rows, state_, nonfinite,
+                             observer);
             else
-                engine_->reduce(rules, layers.data(), n, width_, rows, state_, scratch.data(), nonfinite);
-            Output part = output;
-            part.samples = static_cast<char *>(output.samples) + 4 * sample_bytes * width_ * y;
-            engine_->finish(rules, int64_t(rows) * width_, state_, part, losses);
+                engine_->reduce(rules, layers.data(), n, width_, rows, state_, scratch.data(), nonfinite,
+                                observer);
+            if (output) {
+                Output part = *output;
+                part.samples = static_cast<char *>(output->samples) + 4 * sample_bytes * width_ * y;
+                engine_->finish(rules, int64_t(rows) * width_, state_, part, losses);
+            }
             for (Layer &layer : layers) layer.top -= rows;
         }
     }
@@ -332,6 +433,7 @@ class Accumulator {
     }
 
     std::shared_ptr<StackRules> rules_;
+    const Level &level_;
     const Engine *engine_;
     int width_, height_;
     std::vector<float> planes_;
@@ -342,74 +444,18 @@ class Accumulator {
     bool finished_ = false;
 };
 
-using Sums = nb::ndarray<int64_t, nb::c_contig, nb::device::cpu>;
-using Numbers = nb::ndarray<uint32_t, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
-using Values = nb::ndarray<float, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
-
-template <class Array>
-auto *checked_values(const std::optional<Array> &array, int64_t height, int64_t width) {
-    using Value = std::remove_pointer_t<decltype(array->data())>;
-    if (!array) return static_cast<Value *>(nullptr);
-    if (int64_t(array->shape(0)) != height || int64_t(array->shape(1)) != width)
-        throw nb::value_error("provenance must be height x width");
-    check_aligned(array->data(), sizeof(Value));
-    return array->data();
-}
-
-void check_sums(const Sums &sums, std::initializer_list<int64_t> shape) {
-    size_t axis = 0;
-    bool fits = sums.ndim() == shape.size();
-    for (const int64_t size : shape) {
-        fits = fits && int64_t(sums.shape(axis)) == size;
-        ++axis;
-    }
-    if (!fits) throw nb::value_error("sums of another shape are needed");
-    check_aligned(sums.data(), sizeof(int64_t));
-}
-
-// Adds the measures of a strip to `results`, `hues` and `others`, see `measure.h`; sets provenance.
-// Returns the pixels that could not be measured, and those whose survivor depends on the order.
-std::pair<int64_t, int64_t>
-measure(std::shared_ptr<StackRules> rules, std::array<float, 4> limits, bool depends_on_order,
-        const std::vector<StripLayer *> &strips, int64_t width, int64_t height, Sums results, Sums hues,
-        Sums others, std::optional<Numbers> layer, std::optional<Values> grey,
-        std::optional<Values> margin, const std::string &level) {
-    const Measuring &measuring = *level_of(level).measuring;
-    if (rules->rules.maps != Maps::kLinear) throw nb::value_error("only linear maps are measured");
-    const int64_t n = rules->rules.layers;
-    if (int64_t(strips.size()) != n) throw nb::value_error("all layers are needed");
-    for (const StripLayer *strip : strips)
-        if (strip == nullptr) throw nb::type_error("layers must be made by `layer`");
-    const int strip_width = checked_coordinate(width), strip_height = checked_coordinate(height);
-    if (width < 1 || height < 1) throw nb::value_error("a strip needs pixels");
-    const int64_t bins = hues.ndim() == 3 ? int64_t(hues.shape(1)) : 0;
-    if (bins < 1 || bins > (1 << 16)) throw nb::value_error("hues need bins");
-    check_sums(results, {kResults, kResultSums + kContributorSums * (n + 1)});
-    check_sums(hues, {n + kResults, bins, kHueColumns});
-    check_sums(others, {n + kResults, kOthers});
-    Measures found{};
-    found.results = results.data();
-    found.hues = hues.data();
-    found.others = others.data();
-    found.provenance = {checked_values(layer, height, width), checked_values(grey, height, width),
-                        checked_values(margin, height, width)};
-    const bool wanted = layer.has_value();
-    if (wanted != grey.has_value() || wanted != margin.has_value())
-        throw nb::value_error("provenance is three arrays or none");
-    const MeasureRules measures{limits[0], limits[1], limits[2], limits[3], depends_on_order,
-                                int(bins)};
-    // Copies, which keep the arrays alive while other threads run.
-    std::vector<StripLayer> held;
-    std::vector<Layer> layers;
-    for (const StripLayer *strip : strips) held.push_back(*strip);
-    for (const StripLayer &strip : held) layers.push_back(strip.layer);
-    {
-        const nb::gil_scoped_release unlocked;
-        std::vector<float> scratch(size_t(measure_floats(rules->rules.order, n)));
-        measuring.measure(rules->rules, measures, layers.data(), int(n), strip_width, strip_height,
-                          scratch.data(), &found);
-    }
-    return {found.unmeasured, found.order_sensitive};
+// Measures all layers of a strip without compositing it.
+void measure(std::shared_ptr<StackRules> rules, const std::vector<StripLayer *> &strips,
+             StripMeasures &measures, const std::string &level) {
+    const int layers = int(strips.size());
+    Accumulator strip(rules, measures.width, measures.height, level);
+    std::vector<int> numbers(strips.size());
+    const bool from_front = rules->rules.order == Order::kFrontToBack;
+    for (int i = 0; i < layers; ++i) numbers[size_t(i)] = from_front ? layers - 1 - i : i;
+    std::vector<StripLayer *> arriving = strips;
+    if (from_front) std::reverse(arriving.begin(), arriving.end());
+    strip.add(numbers, arriving);
+    strip.measure(measures);
 }
 
 }  // namespace
@@ -437,11 +483,15 @@ NB_MODULE(_kernel, module) {
         .def("add", &Accumulator::add, "numbers"_a, "layers"_a)
         .def("result", &Accumulator::result, "out"_a.noconvert(), "thresholds"_a.none().noconvert(),
              "first_code"_a.none().noconvert(),
-             "bucket_bits"_a, "limits"_a);
-    module.def("measure", &measure, "rules"_a, "limits"_a, "depends_on_order"_a, "layers"_a, "width"_a,
+             "bucket_bits"_a, "limits"_a, "measures"_a.none() = nb::none());
+    nb::class_<StripMeasures>(module, "Measures")
+        .def_prop_ro("unmeasured", [](const StripMeasures &of) { return of.found.unmeasured; })
+        .def_prop_ro("order_sensitive", [](const StripMeasures &of) { return of.found.order_sensitive; });
+    module.def("measures", &make_measures, "limits"_a, "depends_on_order"_a, "layers"_a, "width"_a,
                "height"_a, "results"_a.noconvert(), "hues"_a.noconvert(), "others"_a.noconvert(),
                "layer"_a.none().noconvert(), "grey"_a.none().noconvert(),
-               "margin"_a.none().noconvert(), "level"_a = "");
+               "margin"_a.none().noconvert());
+    module.def("measure", &measure, "rules"_a, "layers"_a, "measures"_a, "level"_a = "");
     bind_packing(module);
 }
 
