@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from . import addition, engine, gamut, spaces
 from .addition import DEFAULT_HUE_TOLERANCE
 from .compositing import stack_rules
-from .encoding import Losses
+from .encoding import Losses, to_xyz, working_primaries
 from .errors import MismatchError
 from .samples import Strip
 
@@ -35,7 +35,9 @@ def composite(layers: Sequence[ArrayLike], **rules: Any) -> Array:
       `hue_tolerance` 2.0, degrees between p vectors;
       `gray_bias` 0.0: how much less than in the paper hues cancel each other, in [0, 1];
       `background` None, or straight linear RGB put under the result;
-      `exposure` 0.0: stops, applied to the colour of the result.
+      `exposure` 0.0: stops, applied to the colour of the result;
+      `primaries` "rec709", "display-p3", "rec2020" or "acescg": those of the layers, of the
+      background and of the result, which decide luminance and hue.
     Returns: (…, 4), linear, premultiplied RGBA, alpha in [0, 1].
     Errors: `SettingError` for a rule, `MismatchError` for layers of different shapes.
     Source: Chuang et al. 2009, Eq. 1–3 and Algorithm 1; Porter and Duff 1984.
@@ -73,6 +75,7 @@ def hue_add(
     hue_tolerance: float = DEFAULT_HUE_TOLERANCE,
     gray_bias: float = 0.0,
     space: str = "linear-rgb",
+    primaries: str = "rec709",
 ) -> Array:
     """The hue-preserving sum c1 ⊕ c2 of two premultiplied colours.
 
@@ -80,13 +83,15 @@ def hue_add(
     `hue_tolerance`: degrees between p vectors, 0 for the paper's operator.
     `gray_bias`: how much less than in the paper different hues cancel each other, in [0, 1].
     `space`: a name of `SPACES`, in which hue and chroma are measured.
+    `primaries`: those of the RGB, named as in `composite`.
     Returns: (…, 3), linear RGB. float64 if either is, else float32. Where ⊕ leaves the gamut, as it
       may in hsl, oklab and cielab, every channel is brought within the sums of the largest and of
       the negative channels: unlike in `composite`, what alpha would allow beyond is not known.
     Errors: `SettingError` for a rule, `MismatchError` for a shape.
     Source: Chuang et al. 2009, Algorithm 1.
     """
-    tolerance, blending_space = addition.check_hue_tolerance(hue_tolerance), spaces.space(space)
+    tolerance = addition.check_hue_tolerance(hue_tolerance)
+    blending_space = spaces.space(space, to_xyz(working_primaries(primaries)))
     bias = addition.check_gray_bias(gray_bias)
     a, b = np.broadcast_arrays(np.asarray(c1), np.asarray(c2))
     if a.ndim == 0 or a.shape[-1] != 3:

@@ -235,6 +235,7 @@ def check(
     achromatic: float = DEFAULT_ACHROMATIC,
     op: str = "over",
     space: str = "linear-rgb",
+    primaries: str = "rec709",
     hue_tolerance: float = DEFAULT_HUE_TOLERANCE,
     exposure: float = 0.0,
     canvas: str | Window = "bottom",
@@ -278,7 +279,15 @@ def check(
     notices = Notices(strict)
     if hues is None:
         rules = rules_of(
-            specs, op, "hue-preserving", "bottom-up", space, hue_tolerance, background, exposure
+            specs,
+            op,
+            "hue-preserving",
+            "bottom-up",
+            space,
+            hue_tolerance,
+            background,
+            exposure,
+            primaries,
         )
         labels = [Label(spec.label(n), n, None) for n, spec in enumerate(specs)]
         listed: list[Array] = []
@@ -287,7 +296,7 @@ def check(
         for name, value in given.items():
             if value != _OF_LAYERS[name]:
                 raise SettingError(f"--{name} is about layers: a check against --hues has none")
-        rules = stack_rules(1, space=space, hue_tolerance=hue_tolerance)
+        rules = stack_rules(1, space=space, hue_tolerance=hue_tolerance, primaries=primaries)
         degrees = parse_hues(hues)
         labels = [Label(f"hue {hue:g}", None, hue) for hue in degrees]
         listed = [vector_of(hue, rules.space) for hue in degrees]
@@ -298,10 +307,19 @@ def check(
         stack = None
         if specs:
             stack = opened.enter_context(
-                opened_stack(specs, rules, canvas=canvas, nonfinite=nonfinite, notices=notices)
+                opened_stack(
+                    specs,
+                    rules,
+                    primaries=primaries,
+                    canvas=canvas,
+                    nonfinite=nonfinite,
+                    notices=notices,
+                )
             )
+            rules = stack.rules
         name = f"picture ({'stdin' if picture.path == STDIN else picture.path})"
         reader = opened.enter_context(opened_layer(picture, name, nonfinite))
+        reader.work_in(rules.primaries)
         warn_of_problems(reader, notices)
         placed = _placed_picture(reader, picture, None if stack is None else stack.canvas)
         gauge = _Gauge(rules, settings, labels, listed)

@@ -7,7 +7,7 @@ blend order reduces the terms. No pixels here.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Any
 
@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 
 from . import addition, orders, porter_duff, spaces
 from .addition import DEFAULT_HUE_TOLERANCE
-from .errors import SettingError
+from .encoding import REC709, Primaries, converted, to_xyz, working_primaries
+from .errors import MismatchError, SettingError
 
 Array = NDArray[np.floating[Any]]
 
@@ -37,7 +38,8 @@ class StackRules:
     """Everything that decides how the pixels of a stack become one: no pixels, no files.
 
     `operators[i]` puts layer i on those below it (None for layer 0); `opacities` are in [0, 1];
-    `background` is straight linear RGB; `exposure` is in stops. `space` is that of reports.
+    `background` is straight linear RGB; `exposure` is in stops. `space` is that of reports;
+    `primaries` are those of all RGB.
     """
 
     operators: tuple[porter_duff.Operator | None, ...]
@@ -49,6 +51,24 @@ class StackRules:
     gray_bias: float
     background: tuple[float, ...] | None
     exposure: float
+    primaries: Primaries = REC709
+
+    def in_primaries(self, primaries: Primaries) -> StackRules:
+        """The same rules in other primaries; `MismatchError` where blue, say, has no luminance."""
+        if primaries == self.primaries:
+            return self
+        rgb_to_xyz = to_xyz(primaries)
+        if min(rgb_to_xyz[1]) <= 0:
+            raise MismatchError(
+                f"the primaries {primaries.name} have one whose luminance is not above 0, which no "
+                "blending space can do with: name others with --primaries, such as acescg"
+            )
+        background = self.background
+        if background is not None:
+            color = converted(np.array(background), self.primaries, primaries)
+            background = tuple(color.tolist())
+        space = spaces.space(self.space.name, rgb_to_xyz)
+        return replace(self, primaries=primaries, space=space, background=background)
 
     def add(self, front: Array, behind: Array) -> Array:
         """⊕ of two p (2, …), or what else the blending is; only `foremost` asks who is in front."""
@@ -111,8 +131,10 @@ def stack_rules(
     gray_bias: float = 0.0,
     background: Sequence[float] | None = None,
     exposure: float = 0.0,
+    primaries: str = "rec709",
 ) -> StackRules:
     """The rules of a stack of `n_layers`, looked up and checked; the arguments of `composite`."""
+    working = working_primaries(primaries)
     if n_layers < 1:
         raise SettingError("a stack needs at least one layer")
     ops = [None, *[op] * (n_layers - 1)] if isinstance(op, str) else list(op)
@@ -139,9 +161,10 @@ def stack_rules(
         opacities=tuple(float(value) for value in opacities),
         blending=addition.blending(blending),
         order=orders.order(order, n_layers),
-        space=spaces.space(space),
+        space=spaces.space(space, to_xyz(working)),
         hue_tolerance=addition.check_hue_tolerance(hue_tolerance),
         gray_bias=addition.check_gray_bias(gray_bias),
         background=None if background is None else tuple(float(v) for v in background),
         exposure=float(exposure),
+        primaries=working,
     )

@@ -1,7 +1,7 @@
 """What stored numbers mean as light: transfer curves, primaries, gamut. The only door to colour.
 
-Decoding goes from stored values to linear light in the working primaries (Rec. 709); encoding goes
-from composited colour to the straight sRGB code values of a PNG. No files here.
+Decoding goes from stored values to linear light in the working primaries; encoding goes from
+composited colour to the straight code values of a PNG. No files here.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .errors import SettingError, unknown_name
-from .spaces import REC709_WEIGHTS
+from .spaces import REC709_TO_XYZ, Matrix
 
 Array = NDArray[np.floating[Any]]
 Float64 = NDArray[np.float64]
@@ -162,6 +162,17 @@ PRIMARIES: dict[str, Primaries] = {
     )
 }
 REC709 = PRIMARIES["rec709"]
+#: Those that a stack may be asked to be composited in; a file may have others.
+WORKING_PRIMARIES = ("rec709", "display-p3", "rec2020", "acescg")
+#: Asks for those of the bottom layer.
+BOTTOM = "bottom"
+
+
+def working_primaries(name: str) -> Primaries:
+    """The working primaries of that name; `SettingError` lists the valid ones."""
+    if name not in WORKING_PRIMARIES:
+        raise unknown_name("primaries", name, WORKING_PRIMARIES)
+    return PRIMARIES[name]
 
 
 def primaries_from_xy(xy: Any) -> Primaries:
@@ -191,17 +202,52 @@ def _colour() -> Iterator[Any]:
         yield colour
 
 
+def _xyz(xy: Chromaticity) -> Float64:
+    """XYZ of a chromaticity at Y = 1."""
+    x, y = xy
+    return np.array([x / y, 1.0, (1 - x - y) / y])
+
+
 @cache
-def to_rec709(primaries: Primaries) -> Float64 | None:
-    """(3, 3): linear RGB of these primaries to Rec. 709, Bradford-adapted; None if the same."""
-    if primaries is REC709:
+def conversion(source: Primaries, target: Primaries) -> Float64 | None:
+    """(3, 3): linear RGB of some primaries to others, Bradford-adapted; None if they are the same.
+
+    White becomes white, and grey grey, whatever the white points.
+    """
+    if source == target:
         return None
     with _colour() as colour:
-        source, target = (
-            colour.RGB_Colourspace(row.name, row.xy[:3], row.xy[3]) for row in (primaries, REC709)
-        )
-        matrix = colour.matrix_RGB_to_RGB(source, target, "Bradford")
+        spaces = (colour.RGB_Colourspace(p.name, p.xy[:3], p.xy[3]) for p in (source, target))
+        matrix = colour.matrix_RGB_to_RGB(*spaces, "Bradford")
     return np.asarray(matrix, float)
+
+
+@cache
+def to_xyz(primaries: Primaries) -> Matrix:
+    """Linear RGB to CIE XYZ by rows, adapted to D65 by Bradford: white is D65 at Y = 1.
+
+    The second row has the luminance weights.
+    """
+    if primaries == REC709:
+        return REC709_TO_XYZ
+    with _colour() as colour:
+        space = colour.RGB_Colourspace(primaries.name, primaries.xy[:3], primaries.xy[3])
+        matrix = np.asarray(space.matrix_RGB_to_XYZ, float)
+    if primaries.white != D65:
+        matrix = adaptation(_xyz(primaries.white), _xyz(D65)) @ matrix
+    return tuple(tuple(map(float, row)) for row in matrix)
+
+
+def converted(rgb: Array, source: Primaries, target: Primaries) -> Array:
+    """Linear RGB (…, 3) of some primaries in others, in its own precision."""
+    matrix = conversion(source, target)
+    if matrix is None:
+        return rgb
+    # The operations and their order are part of the contract: the kernel has the same ones.
+    red, green, blue = np.moveaxis(rgb, -1, 0)
+    return np.stack(
+        [float(r) * red + float(g) * green + float(b) * blue for r, g, b in matrix], axis=-1
+    )
 
 
 def adaptation(white: Array, to_white: Array) -> Float64:
@@ -265,6 +311,12 @@ COLOR_INTEROP_IDS: dict[str, ColorEncoding] = {
 }
 
 
+def interop_id(primaries: Primaries) -> str | None:
+    """The colorInteropID of linear light in these primaries, where there is one."""
+    wanted = ColorEncoding(LINEAR, primaries)
+    return next((name for name, row in COLOR_INTEROP_IDS.items() if row == wanted), None)
+
+
 def color_space(name: str) -> ColorEncoding:
     """The encoding of that name; `SettingError` lists the valid ones."""
     found = COLOR_SPACES.get(name) or COLOR_INTEROP_IDS.get(name)
@@ -315,11 +367,15 @@ class Losses:
 
 
 def to_straight_srgb(
-    rgba: Array, code_type: type[np.unsignedinteger[Any]], losses: Losses
+    rgba: Array,
+    code_type: type[np.unsignedinteger[Any]],
+    losses: Losses,
+    primaries: Primaries = REC709,
 ) -> NDArray[np.unsignedinteger[Any]]:
-    """Rounded code values of straight sRGB, as many as `code_type` has; losses are counted.
+    """Rounded code values on the sRGB curve, straight, as many as `code_type` has.
 
-    `rgba`: (…, 4), linear Rec. 709, premultiplied, alpha in [0, 1].
+    `rgba`: (…, 4), linear, premultiplied, alpha in [0, 1], in `primaries`, whose gamut is that of
+    the codes. Losses are counted.
     Colours outside the gamut by more than half a code value move towards the grey of their own
     luminance, so hue and luminance stay; above white they become white, below black black.
     """
@@ -327,7 +383,9 @@ def to_straight_srgb(
     codes = np.empty(flat.shape, code_type)
     for begin in range(0, len(flat), _ENCODED_PIXELS):
         block = slice(begin, begin + _ENCODED_PIXELS)
-        codes[block] = _straight_srgb_codes(flat[block], int(np.iinfo(code_type).max), losses)
+        codes[block] = _straight_srgb_codes(
+            flat[block], int(np.iinfo(code_type).max), losses, primaries
+        )
     return codes.reshape(rgba.shape)
 
 
@@ -335,7 +393,9 @@ def to_straight_srgb(
 _ENCODED_PIXELS = 1 << 14
 
 
-def _straight_srgb_codes(rgba: Array, largest: int, losses: Losses) -> Float64:
+def _straight_srgb_codes(
+    rgba: Array, largest: int, losses: Losses, primaries: Primaries
+) -> Float64:
     """(n, 4) → rounded code values 0 … `largest`, as floats."""
     half_code = 0.5 / largest
     unknown = np.any(np.isnan(rgba), axis=1)
@@ -357,18 +417,18 @@ def _straight_srgb_codes(rgba: Array, largest: int, losses: Losses) -> Float64:
     outside: NDArray[np.bool_] = ((straight < lowest) | (straight > highest)).any(axis=1)
     if outside.any():
         losses.out_of_gamut += int(outside.sum())
-        straight[outside] = into_gamut(straight[outside])
+        straight[outside] = into_gamut(straight[outside], primaries)
     np.rint(encode_srgb(np.clip(straight, 0, 1)) * largest, out=codes[:, :3])
     return codes
 
 
-def into_gamut(straight: Float64) -> Float64:
-    """(n, 3), linear Rec. 709, straight → the same luminance and hue with every channel in [0, 1].
+def into_gamut(straight: Float64, primaries: Primaries = REC709) -> Float64:
+    """(n, 3), linear, straight → the same luminance and hue with every channel in [0, 1].
 
     Chroma is scaled by the largest factor that fits; luminance above 1 gives white, below 0 black.
     """
     red, green, blue = straight.T
-    w_red, w_green, w_blue = REC709_WEIGHTS
+    w_red, w_green, w_blue = to_xyz(primaries)[1]
     luminance = np.clip(w_red * red + w_green * green + w_blue * blue, 0, 1)[:, None]
     infinite = ~np.isfinite(straight).all(axis=1, keepdims=True)
     luminance[np.isnan(luminance)] = 1

@@ -18,7 +18,7 @@ import numpy as np
 
 from . import reference
 from .compositing import StackRules
-from .encoding import Losses
+from .encoding import REC709, Losses, Primaries
 from .errors import SettingError, unknown_name
 from .samples import Samples, Strip
 
@@ -39,8 +39,8 @@ class Accumulator(Protocol):
     def add(self, numbers: Sequence[int], strips: Sequence[Strip]) -> None:
         """Layers by number."""
 
-    def result(self, kind: str, losses: Losses) -> Samples:
-        """The composite (height, width, 4), as samples of that kind."""
+    def result(self, kind: str, losses: Losses, gamut: Primaries = REC709) -> Samples:
+        """The composite (height, width, 4), as samples of that kind; codes are of that gamut."""
 
 
 def _kernel() -> ModuleType | None:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from . import __version__, engine
 from .addition import BLENDINGS
 from .compositing import StackRules
-from .encoding import Losses
+from .encoding import Losses, Primaries
 from .errors import OutputError, SettingError, why
 from .findings import StackFindings
 from .geometry import Window
@@ -233,7 +233,7 @@ class Evidence:
     ) -> None:
         self.findings = StackFindings.none(rules, settings, bins)
         self._rules, self._settings, self._bins, self._window = rules, settings, bins, window
-        self._preview = _PreviewSums(window) if with_preview else None
+        self._preview = _PreviewSums(window, rules.primaries) if with_preview else None
         self._provenance = provenance
 
     @staticmethod
@@ -321,7 +321,8 @@ class _PreviewSums:
     Rows are added one by one, so that the sums do not depend on how they arrive.
     """
 
-    def __init__(self, window: Window) -> None:
+    def __init__(self, window: Window, primaries: Primaries) -> None:
+        self._primaries = primaries
         self._scale = preview_scale(window.width, window.height)
         shape = -(-window.height // self._scale), -(-window.width // self._scale)
         self._sums = np.zeros((2, *shape, 4))
@@ -354,4 +355,4 @@ class _PreviewSums:
     def _picture(self, sums: NDArray[np.float64]) -> Any:
         with np.errstate(invalid="ignore"):
             means = (sums / self._areas).astype(np.float32)
-        return encode(means, "uint8", Losses())
+        return encode(means, "uint8", Losses(), self._primaries)

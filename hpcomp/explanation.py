@@ -171,6 +171,7 @@ def explain(
     blending: str = "hue-preserving",
     order: str | Sequence[int] = "bottom-up",
     space: str = "linear-rgb",
+    primaries: str = "rec709",
     hue_tolerance: float = DEFAULT_HUE_TOLERANCE,
     gray_bias: float = 0.0,
     foreign_tolerance: float | None = None,
@@ -192,7 +193,16 @@ def explain(
     """
     specs = layer_specs(layers)
     rules = rules_of(
-        specs, op, blending, order, space, hue_tolerance, background, exposure, gray_bias=gray_bias
+        specs,
+        op,
+        blending,
+        order,
+        space,
+        hue_tolerance,
+        background,
+        exposure,
+        primaries,
+        gray_bias=gray_bias,
     )
     settings = measure_settings(
         rules,
@@ -202,7 +212,10 @@ def explain(
     )
     x, y = parse_pixel(at) if isinstance(at, str) else at
     notices = Notices(strict)
-    with opened_stack(specs, rules, canvas=canvas, nonfinite=nonfinite, notices=notices) as stack:
+    with opened_stack(
+        specs, rules, primaries=primaries, canvas=canvas, nonfinite=nonfinite, notices=notices
+    ) as stack:
+        rules = stack.rules
         window = output_window(
             stack.canvas, [layer.window for layer in stack.layers], overscan, None
         )

@@ -106,9 +106,7 @@ def _histograms(
     rules: StackRules, settings: MeasureSettings, layers: Sequence[Array], bins: int
 ) -> StackFindings:
     def counted(rgba: Any) -> HueHistogram:
-        return hue_histogram(
-            rgba, bins=bins, space=rules.space.name, achromatic=settings.achromatic
-        )
+        return hue_histogram(rgba, bins=bins, space=rules.space, achromatic=settings.achromatic)
 
     pixels = contributors(rules, layers)
     opacities = np.array(rules.opacities, np.float32)

@@ -296,20 +296,21 @@ def hue_histogram(
     pixels: ArrayLike,
     *,
     bins: int = DEFAULT_BINS,
-    space: str = "linear-rgb",
+    space: str | spaces.Space = "linear-rgb",
     achromatic: float = DEFAULT_ACHROMATIC,
 ) -> HueHistogram:
     """Counts pixels by hue.
 
-    `pixels`: (…, 4), linear Rec. 709, premultiplied; measured in float32. Light without alpha
-    counts as any other; alpha outside [0, 1] as the nearer end.
-    `bins`: 6 to 3600, centred on multiples of their width in degrees. `space`: a name of `SPACES`,
-    whose hue axis and |p| are used. `achromatic`: pixels are grey whose saturation, difference over
-    size of the largest component, is below it; in [0, 1].
+    `pixels`: (…, 4), linear Rec. 709 or of the primaries of a `Space`, premultiplied; measured in
+    float32. Light without alpha counts as any other; alpha outside [0, 1] as the nearer end.
+    `bins`: 6 to 3600, centred on multiples of their width in degrees. `space`: a `Space`, or a name
+    of `SPACES`, whose hue axis and |p| are used. `achromatic`: pixels are grey whose saturation,
+    difference over size of the largest component, is below it; in [0, 1].
     Returns: a `HueHistogram`; those of parts add up to that of the whole.
     Errors: `SettingError`, `MismatchError` for another shape.
     """
-    total = HueHistogram.empty(bins, space, achromatic)
+    measured = spaces.space(space) if isinstance(space, str) else space
+    total = HueHistogram.empty(bins, measured.name, achromatic)
     rgba = np.asarray(pixels)
     if rgba.ndim < 1 or rgba.shape[-1] != 4 or rgba.dtype.kind not in "fiub":
         raise MismatchError(
@@ -319,12 +320,12 @@ def hue_histogram(
     for begin in range(0, len(flat), BLOCK_PIXELS):
         with np.errstate(over="ignore", invalid="ignore"):
             planes = np.ascontiguousarray(flat[begin : begin + BLOCK_PIXELS].T, np.float32)
-            total += _of_block(planes, total)
+            total += _of_block(planes, measured, total)
     return total
 
 
-def _of_block(planes: NDArray[np.float32], like: HueHistogram) -> HueHistogram:
-    """The histogram of up to `BLOCK_PIXELS` pixels, planes (4, n).
+def _of_block(planes: NDArray[np.float32], space: spaces.Space, like: HueHistogram) -> HueHistogram:
+    """The histogram of up to `BLOCK_PIXELS` pixels, planes (4, n), measured in that space.
 
     Every step is in float32 and in the order written here: the kernel has the same ones, and the
     same bits.
@@ -339,7 +340,6 @@ def _of_block(planes: NDArray[np.float32], like: HueHistogram) -> HueHistogram:
     transparent = finite & (alpha == 0) & (size == 0)
     grey = (difference == 0) | (difference < np.float32(like.achromatic) * size)
     chosen = np.flatnonzero(finite & ~grey)
-    space = spaces.space(like.space)
     _, p = space.forward(rgb[:, chosen])
     if not space.linear:
         # A colour without luminance has no hue where it is taken at Y = 1.

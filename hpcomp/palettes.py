@@ -281,7 +281,7 @@ def palette(
     Errors: `SettingError`; of layers, `InputError`, and `MismatchError` where no hue stands out.
     Source: Chuang et al. 2009, Figures 4 and 6.
     """
-    for name in ("op", "exposure"):
+    for name in ("op", "exposure", "primaries"):
         if name in rules:
             raise SettingError(f"'{name}' says nothing of a palette: leave it out")
     named = [_named(color) for color in colors]

@@ -18,7 +18,7 @@ from .addition import DEFAULT_HUE_TOLERANCE
 from .budget import DEFAULT_MAX_MEMORY, LAYERS_AT_ONCE, Budget, parse_bytes
 from .canvas import output_window
 from .compositing import Reduction, StackRules
-from .encoding import Losses
+from .encoding import Losses, working_primaries
 from .errors import MismatchError, SettingError
 from .geometry import Window, parse_window
 from .imagefile import (
@@ -71,6 +71,7 @@ def stack(
     blending: str = "hue-preserving",
     order: str | Sequence[int] = "bottom-up",
     space: str = "linear-rgb",
+    primaries: str = "rec709",
     hue_tolerance: float = DEFAULT_HUE_TOLERANCE,
     gray_bias: float = 0.0,
     depth: str | int | None = None,
@@ -97,7 +98,9 @@ def stack(
 
     `layers`: LAYER strings, paths or `LayerSpec`. `output`: a path ending in .png or .exr, or `-`
     for stdout with `format`. The options are those of `hpcomp stack` and mean the same;
-    `background` is a CSS hex colour or straight linear RGB, `max_memory` bytes or `512M`, `1G`.
+    `primaries` are those that colours are blended in and an EXR is written in, `bottom` those of
+    the bottom layer. `background` is a CSS hex colour, or straight linear RGB in these primaries,
+    in Rec. 709 with `bottom`; `max_memory` is in bytes, or `512M`, `1G`.
     `report`: one path or several, each ending in .txt, .json, .csv, .svg, .png, .pdf or .html, for
     what blending did to the hues; `foreign_tolerance` in degrees (twice `hue_tolerance` if None),
     `achromatic` in [0, 1], `energy_weights` of red, green and blue, and `bins` decide what it
@@ -111,7 +114,16 @@ def stack(
     specs = layer_specs(layers)
     output = os.fspath(output)
     rules = rules_of(
-        specs, op, blending, order, space, hue_tolerance, background, exposure, gray_bias=gray_bias
+        specs,
+        op,
+        blending,
+        order,
+        space,
+        hue_tolerance,
+        background,
+        exposure,
+        primaries,
+        gray_bias=gray_bias,
     )
     form = OutputForm.checked(format_of_output(output, format), depth, compression)
     if overscan and form.format == "png":
@@ -153,9 +165,16 @@ def stack(
         if inquiry is not None:
             inquiry = inquiry.opened(opened, clobber)
         stacked = opened.enter_context(
-            opened_stack(specs, rules, canvas=canvas, nonfinite=nonfinite, notices=notices)
+            opened_stack(
+                specs,
+                rules,
+                primaries=primaries,
+                canvas=canvas,
+                nonfinite=nonfinite,
+                notices=notices,
+            )
         )
-        placed_on, placed = stacked.canvas, stacked.layers
+        rules, placed_on, placed = stacked.rules, stacked.canvas, stacked.layers
         readers = [layer.reader for layer in placed]
         window = output_window(
             placed_on, [layer.window for layer in placed], overscan, wanted_region
@@ -170,11 +189,12 @@ def stack(
         strip_rows = estimate.rows(block, window.height, budget)
         opened.enter_context(codec_threads([*readers, form], reading=1, writing=n_threads))
         log.info(
-            "%d layers on canvas %s, %s, order %s",
+            "%d layers on canvas %s, %s, order %s, primaries %s",
             len(specs),
             placed_on,
             blending,
             rules.order.name,
+            rules.primaries.name,
         )
         log.info(
             "writing %s in strips of %d rows, %d threads, engine %s",
@@ -189,6 +209,7 @@ def stack(
             form,
             window,
             placed_on,
+            primaries=rules.primaries,
             pixel_aspect=bottom.pixel_aspect,
             pixels_per_metre=bottom.pixels_per_metre,
             label=shown,
@@ -229,6 +250,7 @@ def _settings_in_words(
         "blending": rules.blending.name,
         "order": rules.order.name,
         "space": rules.space.name,
+        "primaries": rules.primaries.name,
         "hue tolerance": f"{rules.hue_tolerance:g}°",
         "gray bias": f"{rules.gray_bias:g}",
         "background": "none" if background is None else str(background),
@@ -246,16 +268,20 @@ def read_layer(
     alpha: str | None = None,
     colorspace: str | None = None,
     tint: str | None = None,
+    primaries: str = "rec709",
     nonfinite: str = "error",
     strict: bool = False,
 ) -> LayerImage:
     """Reads one layer whole, as `stack` would.
 
     `path`: a file or a LAYER string; the keywords override its settings and mean the same.
+    `primaries`: what the colours are converted to, a name of `stack` other than `bottom`.
     `nonfinite`: `error`, `zero` or `keep`, for NaN and Inf. `strict`: warnings become errors.
-    Returns: pixels (height, width, 4) float32, linear Rec. 709, premultiplied, over `data_window`.
+    Returns: pixels (height, width, 4) float32, linear Rec. 709 or of `primaries`, premultiplied,
+    over `data_window`.
     Errors: `SettingError`, `InputError`, `MismatchError`. Warnings: `HpcompWarning`.
     """
+    working = working_primaries(primaries)
     spec = layer_spec(path)
     spec = replace(
         spec,
@@ -267,6 +293,7 @@ def read_layer(
     )
     notices = Notices(strict)
     with opened_layer(spec, spec.path, nonfinite) as reader:
+        reader.work_in(working)
         window = reader.window
         pixels = np.empty((window.height, window.width, 4), np.float32)
         for begin, end in _strips(window, STRIP_ROWS):
@@ -283,6 +310,7 @@ def write_image(
     format: str | None = None,
     depth: str | int | None = None,
     compression: str | int | None = None,
+    primaries: str = "rec709",
     data_window: Window | None = None,
     display_window: Window | None = None,
     clobber: bool = True,
@@ -290,13 +318,14 @@ def write_image(
 ) -> Losses:
     """Writes one picture, as `stack` would: PNG straight sRGB, EXR linear and premultiplied.
 
-    `pixels`: (height, width, 4), linear Rec. 709, premultiplied, alpha in [0, 1].
+    `pixels`: (height, width, 4), linear Rec. 709 or of `primaries`, which an EXR keeps;
+    premultiplied, alpha in [0, 1].
     `data_window`: where the pixels lie, +0+0 if not given; `display_window`: as `data_window`.
     `format`, `depth`, `compression`, `clobber`, `strict`: as in `stack`.
     Returns: the counts of pixels that the file could not hold as they are.
     Errors: `SettingError`, `MismatchError`, `OutputError`. Warnings: `HpcompWarning`.
     """
-    path = os.fspath(path)
+    path, working = os.fspath(path), working_primaries(primaries)
     rgba = np.ascontiguousarray(pixels, np.float32)
     if rgba.ndim != 3 or rgba.shape[2] != 4 or 0 in rgba.shape:
         raise MismatchError(f"pixels have shape {rgba.shape}: height, width and 4 are needed")
@@ -308,10 +337,12 @@ def write_image(
     notices = Notices(strict)
     losses = Losses()
     with whole_output(path, clobber=clobber) as target:
-        writer = open_writer(target, form, window, display_window or window, label=path)
+        writer = open_writer(
+            target, form, window, display_window or window, primaries=working, label=path
+        )
         try:
             for begin in range(0, window.height, STRIP_ROWS):
-                samples = encode(rgba[begin : begin + STRIP_ROWS], form.kind, losses)
+                samples = encode(rgba[begin : begin + STRIP_ROWS], form.kind, losses, working)
                 writer.write(writer.prepare(begin, samples))
             writer.finish()
         finally:

@@ -11,7 +11,14 @@ import numpy as np
 
 from .canvas import LayerWindows, lay_out, parse_canvas
 from .compositing import StackRules, stack_rules
-from .encoding import parse_hex_color
+from .encoding import (
+    BOTTOM,
+    REC709,
+    WORKING_PRIMARIES,
+    converted,
+    parse_hex_color,
+    working_primaries,
+)
 from .errors import SettingError, unknown_name
 from .geometry import Window
 from .imagefile import NONFINITE_POLICIES, STDIN, LayerReader
@@ -55,8 +62,12 @@ class PlacedLayer:
 
 @dataclass(frozen=True)
 class PlacedStack:
-    """Open layers, bottom first, on their canvas."""
+    """Open layers, bottom first, on their canvas.
 
+    `rules`: those that were asked for, in the working primaries that the layers are read in.
+    """
+
+    rules: StackRules
     canvas: Window
     layers: tuple[PlacedLayer, ...]
 
@@ -82,10 +93,21 @@ def rules_of(
     hue_tolerance: float,
     background: str | Sequence[float] | None,
     exposure: float,
+    primaries: str,
     *,
     gray_bias: float = 0.0,
 ) -> StackRules:
-    """The rules of a stack of these layers, whose own settings go first. Errors: `SettingError`."""
+    """The rules of a stack of these layers, whose own settings go first. Errors: `SettingError`.
+
+    Of `bottom` they are in Rec. 709: `opened_stack` knows better.
+    """
+    if primaries not in (*WORKING_PRIMARIES, BOTTOM):
+        raise unknown_name("primaries", primaries, [*WORKING_PRIMARIES, BOTTOM])
+    name = REC709.name if primaries == BOTTOM else primaries
+    color = background
+    if isinstance(color, str):
+        hex_color = np.array(parse_hex_color(color))
+        color = converted(hex_color, REC709, working_primaries(name)).tolist()
     return stack_rules(
         len(specs),
         op=[spec.op or (op if number else None) for number, spec in enumerate(specs)],
@@ -95,8 +117,9 @@ def rules_of(
         space=space,
         hue_tolerance=hue_tolerance,
         gray_bias=gray_bias,
-        background=parse_hex_color(background) if isinstance(background, str) else background,
+        background=color,
         exposure=exposure,
+        primaries=name,
     )
 
 
@@ -105,12 +128,14 @@ def opened_stack(
     specs: Sequence[LayerSpec],
     rules: StackRules,
     *,
+    primaries: str,
     canvas: str | Window,
     nonfinite: str,
     notices: Notices,
 ) -> Iterator[PlacedStack]:
     """The layers opened and placed as `stack` does, with its warnings; closed at the end.
 
+    `primaries`: as asked for in `rules_of`; of `bottom`, the rules are put into those found.
     Errors: `SettingError`, `InputError`, `MismatchError`.
     """
     wanted = parse_canvas(canvas)
@@ -124,9 +149,13 @@ def opened_stack(
             opened.enter_context(opened_layer(spec, spec.label(number), nonfinite))
             for number, spec in enumerate(specs)
         ]
+        if primaries == BOTTOM:
+            rules = rules.in_primaries(readers[0].decoding.encoding.primaries)
+        for reader in readers:
+            reader.work_in(rules.primaries)
         warn_of_layers(rules, readers, notices)
         window, placed = _placed(specs, readers, wanted)
-        yield PlacedStack(window, tuple(placed))
+        yield PlacedStack(rules, window, tuple(placed))
 
 
 def _allow_open_files(layers: int) -> None:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .compositing import Reduction, StackRules
-from .encoding import Losses
+from .encoding import REC709, Losses, Primaries
 from .gamut import bounds_of, colors_within
 from .samples import Samples, Strip, cropped, encode, linear_rgba, spread
 from .terms import term, weighted
@@ -51,11 +51,14 @@ class _Accumulator(ABC):
             with np.errstate(all="ignore"):  # NaN and Inf may have been let through
                 self.take(number, spread(rgba, inside.left, inside.top, self.width, self.height))
 
-    def result(self, kind: str, losses: Losses) -> Samples:
-        """The composite (height, width, 4) as samples of a kind of `OUTPUT_TYPES`, or float64."""
+    def result(self, kind: str, losses: Losses, gamut: Primaries = REC709) -> Samples:
+        """The composite (height, width, 4) as samples of a kind of `OUTPUT_TYPES`, or float64.
+
+        Codes are of that gamut, floats in the working primaries.
+        """
         with np.errstate(all="ignore"):
             rgba = self.composite().reshape(self.height, self.width, 4)
-            return encode(rgba, kind, losses)
+            return encode(rgba, kind, losses, self.rules.primaries, gamut)
 
     def term(self, number: int, rgba: Array) -> tuple[Array, Array, Array, Array]:
         """As `terms.term`, of layer `number`."""

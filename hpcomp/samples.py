@@ -11,14 +11,16 @@ from numpy.typing import NDArray
 from .encoding import (
     LINEAR,
     LINEAR_REC709,
+    REC709,
     ColorEncoding,
     Losses,
+    Primaries,
+    converted,
     decode_table,
     to_half_range,
-    to_rec709,
     to_straight_srgb,
+    to_xyz,
 )
-from .spaces import REC709_WEIGHTS
 
 Rgba = NDArray[np.float32]
 Samples = NDArray[Any]
@@ -36,9 +38,10 @@ OUTPUT_TYPES: dict[str, type[np.generic]] = {
 class Decoding:
     """What stored samples mean: curve and primaries, and how alpha relates to colour.
 
+    `working`: the primaries that they are wanted in.
     `alpha_mode` is one of `encoding.ALPHA_MODES`; `stored_straight` says whether `luminance` finds
     straight colours in the file; `zero_nonfinite` makes pixels with NaN or Inf transparent.
-    `tint`: straight linear colour of a mask, Y or YA, whose stored values are its alpha.
+    `tint`: straight linear Rec. 709 colour of a mask, Y or YA, whose stored values are its alpha.
     """
 
     encoding: ColorEncoding
@@ -46,6 +49,7 @@ class Decoding:
     stored_straight: bool
     zero_nonfinite: bool = False
     tint: tuple[float, float, float] | None = None
+    working: Primaries = REC709
 
     def is_plain(self, samples: Samples) -> bool:
         """Whether one table or nothing is between these samples and linear light, times alpha."""
@@ -60,7 +64,8 @@ class Decoding:
         )
 
 
-#: Linear Rec. 709, premultiplied: what `decode` gives and arrays in the API are.
+#: Linear, premultiplied, and in the working primaries, whichever they are: what `decode` gives and
+#: arrays in the API are.
 PLAIN = Decoding(LINEAR_REC709, "premultiplied", stored_straight=False)
 
 
@@ -94,14 +99,14 @@ def decode(samples: Samples, decoding: Decoding) -> Rgba:
         if channels % 2 == 0:
             np.clip(_as_float(samples[..., -1]), 0, 1, out=alpha)
         if decoding.alpha_mode == "premultiplied-encoded" and channels % 2 == 0:
-            rgb[:] = _linear(_divided(_as_float(stored_color), alpha), decoding.encoding)
+            rgb[:] = _linear(_divided(_as_float(stored_color), alpha), decoding)
             rgb *= alpha[..., None]
         else:
-            rgb[:] = _linear(stored_color, decoding.encoding)
+            rgb[:] = _linear(stored_color, decoding)
         if decoding.alpha_mode == "straight" and channels % 2 == 0:
             rgb *= alpha[..., None]
         elif decoding.alpha_mode == "luminance":
-            _alpha_from_luminance(rgb, alpha, decoding.stored_straight)
+            _alpha_from_luminance(rgb, alpha, decoding)
     return rgba
 
 
@@ -116,11 +121,12 @@ def _tinted(samples: Samples, decoding: Decoding, tint: tuple[float, float, floa
     rgba = np.empty((*samples.shape[:2], 4), np.float32)
     alpha = rgba[..., 3]
     with np.errstate(invalid="ignore", over="ignore"):
-        found = _linear(value, decoding.encoding) if by_light else _as_float(value)
+        found = _linear(value, decoding) if by_light else _as_float(value)
         np.clip(found[..., 0], 0, 1, out=alpha)
         if samples.shape[2] == 2 and straight:
             alpha *= np.clip(_as_float(samples[..., 1]), 0, 1)
-        rgba[..., :3] = alpha[..., None] * np.array(tint, np.float32)
+        color = converted(np.array(tint), REC709, decoding.working)
+        rgba[..., :3] = alpha[..., None] * color.astype(np.float32)
     return rgba
 
 
@@ -168,21 +174,31 @@ def spread(rgba: Rgba, left: int, top: int, width: int, height: int) -> Rgba:
     return whole.reshape(-1, 4)
 
 
-def encode(rgba: Rgba, kind: str, losses: Losses) -> Samples:
-    """RGBA (…, 4) as samples of an output: straight sRGB codes, or linear premultiplied floats.
+def encode(
+    rgba: Rgba,
+    kind: str,
+    losses: Losses,
+    working: Primaries = REC709,
+    gamut: Primaries = REC709,
+) -> Samples:
+    """RGBA (…, 4) as samples of an output: straight codes, or linear premultiplied floats.
 
-    `kind` is one of `OUTPUT_TYPES`; anything else leaves the RGBA as it is.
+    `kind` is one of `OUTPUT_TYPES`; anything else leaves the RGBA as it is. `working`: primaries of
+    the RGBA, and `gamut` those of codes, which have the curve of sRGB; floats stay in `working`.
     """
     if kind in ("uint8", "uint16"):
-        return to_straight_srgb(rgba, np.uint8 if kind == "uint8" else np.uint16, losses)
+        if working != gamut:
+            rgb = converted(rgba[..., :3], working, gamut)
+            rgba = np.concatenate([rgb, rgba[..., 3:]], axis=-1)
+        return to_straight_srgb(rgba, np.uint8 if kind == "uint8" else np.uint16, losses, gamut)
     if kind == "half":
         return to_half_range(rgba, losses).astype(np.float16)
     return rgba
 
 
-def _linear(stored: Samples, encoding: ColorEncoding) -> Rgba:
-    """Stored colour (…, 1 or 3) as linear Rec. 709 (…, 3, or 1 to be spread over 3)."""
-    transfer = encoding.transfer
+def _linear(stored: Samples, decoding: Decoding) -> Rgba:
+    """Stored colour (…, 1 or 3) as linear RGB (…, 3, or 1 to be spread over 3)."""
+    transfer = decoding.encoding.transfer
     if stored.dtype.kind == "u":
         largest = int(np.iinfo(stored.dtype).max)
         if transfer.channels:
@@ -195,21 +211,16 @@ def _linear(stored: Samples, encoding: ColorEncoding) -> Rgba:
         linear = stored.astype(np.float32, copy=False)
     else:
         linear = transfer.decode(stored.astype(np.float64)).astype(np.float32)
-    matrix = to_rec709(encoding.primaries)
-    if matrix is None or linear.shape[-1] == 1:
+    if linear.shape[-1] == 1:
         return linear  # a grey is the same grey in all primaries
-    planes = np.moveaxis(linear, -1, 0)
-    return np.stack(
-        [sum(float(m) * plane for m, plane in zip(row, planes, strict=True)) for row in matrix],
-        axis=-1,
-    )
+    return converted(linear, decoding.encoding.primaries, decoding.working)
 
 
-def _alpha_from_luminance(rgb: Rgba, alpha: Rgba, straight: bool) -> None:
+def _alpha_from_luminance(rgb: Rgba, alpha: Rgba, decoding: Decoding) -> None:
     """Makes the alpha of the straight colours their luminance times the file's alpha."""
-    if not straight:
+    if not decoding.stored_straight:
         rgb[:] = _divided(rgb, alpha)
-    w_red, w_green, w_blue = REC709_WEIGHTS
+    w_red, w_green, w_blue = to_xyz(decoding.working)[1]
     luminance = w_red * rgb[..., 0] + w_green * rgb[..., 1] + w_blue * rgb[..., 2]
     alpha *= np.clip(luminance, 0, 1)
     rgb *= alpha[..., None]

@@ -485,7 +485,7 @@ def _files() -> list[str]:
             italic("*.exr"),
             "Read as premultiplied and linear, unless colorInteropID says otherwise, in the "
             "primaries that it or chromaticities name, else those of Rec. 709. Written in half "
-            "or float, linear and premultiplied, Rec. 709.",
+            "or float, linear and premultiplied, in the working primaries.",
         ),
         ".PP",
         *prose(

@@ -1032,7 +1032,7 @@ def out(dtype=np.float32, height=2, width=3, channels=4):
 
 def codes_8(**changed):
     """What `result` needs for 8-bit codes, but for what is changed."""
-    names = ("thresholds", "first_code", "bucket_bits", "limits")
+    names = ("thresholds", "first_code", "bucket_bits", "limits", "matrix", "weights")
     return tuple({**dict(zip(names, CODES_8, strict=True)), **changed}.values())
 
 

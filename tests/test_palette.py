@@ -544,7 +544,7 @@ def test_options_reach_the_palette(desk):
 
 def test_every_rule_of_colours_is_an_option():
     command = cli.get_command(None, "palette")
-    of_layers = {"op", "opacity", "background", "exposure"}
+    of_layers = {"op", "opacity", "background", "exposure", "primaries"}
     rules = set(signature(stack_rules).parameters) & set(STACK_OPTIONS) - of_layers
     assert rules >= {"blending", "order", "space", "hue_tolerance"}
     assert rules <= {parameter.name for parameter in command.params}

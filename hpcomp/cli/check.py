@@ -67,7 +67,15 @@ SHORT_HELP = "Fail if a picture has lost the hues of its layers."
     help="Pixels of less saturation, 0 to 1, are grey.",
 )
 @stack_options(
-    "op", "space", "hue_tolerance", "exposure", "canvas", "background", "nonfinite", "strict"
+    "op",
+    "space",
+    "primaries",
+    "hue_tolerance",
+    "exposure",
+    "canvas",
+    "background",
+    "nonfinite",
+    "strict",
 )
 @click.option(
     "--format",

@@ -25,7 +25,7 @@ SHORT_HELP = "Say step by step how one pixel of a stack comes about."
     help="The pixel, in coordinates of the canvas; 0,0 is its top left corner, unless the files "
     "say otherwise.",
 )
-@stack_options("op", "blending", "order", "space", "hue_tolerance", "gray_bias")
+@stack_options("op", "blending", "order", "space", "primaries", "hue_tolerance", "gray_bias")
 @click.option(
     "--foreign-tolerance",
     type=float,

@@ -27,8 +27,9 @@ from .options import F, LayerCommand, message_options, print_bytes
 from .reportoptions import clobber_option, report_options
 from .stackoptions import STACK_OPTIONS, stack_options
 
-#: What is about single layers or about the result, and not about how two colours are added.
-_OF_LAYERS = ("op", "opacity", "background", "exposure")
+#: What is about single layers or about the result, and not about how two colours are added; and
+#: primaries: labels are sRGB.
+_OF_LAYERS = ("op", "opacity", "background", "exposure", "primaries")
 _RULES = [
     n for n in signature(stack_rules).parameters if n in STACK_OPTIONS and n not in _OF_LAYERS
 ]

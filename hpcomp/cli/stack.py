@@ -56,7 +56,7 @@ argument is an existing file; a value holds no comma. Keys: {", ".join(LAYER_KEY
     type=click.Choice(["png", "exr"]),
     help="Format of an output without an ending.",
 )
-@stack_options("op", "blending", "order", "space", "hue_tolerance", "gray_bias")
+@stack_options("op", "blending", "order", "space", "primaries", "hue_tolerance", "gray_bias")
 @click.option(
     "--depth",
     type=click.Choice(["8", "16", "half", "float"]),

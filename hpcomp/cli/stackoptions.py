@@ -10,6 +10,7 @@ from collections.abc import Callable
 import click
 
 from ..addition import BLENDINGS, DEFAULT_HUE_TOLERANCE
+from ..encoding import BOTTOM, WORKING_PRIMARIES
 from ..orders import ORDERS
 from ..porter_duff import OPERATOR_NAMES
 from ..spaces import SPACES
@@ -47,6 +48,14 @@ STACK_OPTIONS: dict[str, Callable[[F], F]] = {
         default="linear-rgb",
         show_default=True,
         help="Blending space.",
+    ),
+    "primaries": click.option(
+        "--primaries",
+        type=click.Choice([*WORKING_PRIMARIES, BOTTOM]),
+        default="rec709",
+        show_default=True,
+        help="Blend in these primaries, to which files in others are converted; bottom: in those "
+        "of the bottom layer. They decide luminance and hue, and an EXR is written in them.",
     ),
     "hue_tolerance": click.option(
         "--hue-tolerance",

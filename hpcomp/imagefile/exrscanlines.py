@@ -15,7 +15,7 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from ..encoding import REC709
+from ..encoding import REC709, Primaries, interop_id
 from ..errors import InputError
 from ..geometry import Window
 from ..samples import Samples
@@ -227,7 +227,7 @@ class ExrScanlines:
 
 @dataclass(frozen=True)
 class ExrForm:
-    """What a header says: RGBA of Rec. 709 in one depth, or data planes.
+    """What a header says: linear RGBA of some primaries in one depth, or data planes.
 
     `planes`: name and type of the channels that are no colour, sorted by name; all types of as many
     bytes as `depth`. Samples have them in the opposite order.
@@ -240,6 +240,7 @@ class ExrForm:
     pixel_aspect: float
     pixels_per_inch: float | None = None
     planes: tuple[tuple[str, str], ...] = ()
+    primaries: Primaries = REC709
 
 
 class ExrScanlineWriter(SegmentWriter[bytes]):
@@ -279,10 +280,13 @@ class ExrScanlineWriter(SegmentWriter[bytes]):
         self._put_bytes(struct.pack(f"<{len(self._offsets)}Q", *self._offsets))
 
 
-_REC709_ATTRIBUTES = [
-    (b"chromaticities", b"chromaticities", struct.pack("<8f", *REC709.xy.ravel())),
-    (b"colorInteropID", b"string", b"lin_rec709_scene"),
-]
+def _color_attributes(primaries: Primaries) -> list[tuple[bytes, bytes, bytes]]:
+    chromaticities = struct.pack("<8f", *primaries.xy.ravel())
+    found = [(b"chromaticities", b"chromaticities", chromaticities)]
+    name = interop_id(primaries)
+    if name is not None:
+        found.append((b"colorInteropID", b"string", name.encode()))
+    return found
 
 
 def _header(form: ExrForm, compression: int) -> bytes:
@@ -293,7 +297,7 @@ def _header(form: ExrForm, compression: int) -> bytes:
     )
     attributes = [
         (b"channels", b"chlist", channels + b"\0"),
-        *([] if form.planes else _REC709_ATTRIBUTES),
+        *([] if form.planes else _color_attributes(form.primaries)),
         (b"compression", b"compression", bytes([compression])),
         (b"dataWindow", b"box2i", _box(form.data_window)),
         (b"displayWindow", b"box2i", _box(form.display_window)),

@@ -13,7 +13,7 @@ import numpy as np
 import OpenImageIO as oiio
 
 from .. import exrheader
-from ..encoding import REC709
+from ..encoding import interop_id
 from ..errors import InputError, OutputError
 from ..samples import Samples
 from .exrscanlines import ExrForm
@@ -190,8 +190,11 @@ def _spec(form: ExrForm) -> oiio.ImageSpec:
     spec.full_x, spec.full_y = display.x, display.y
     spec.full_width, spec.full_height = display.width, display.height
     spec.attribute("compression", form.compression)
-    spec.attribute("chromaticities", oiio.TypeDesc("float[8]"), tuple(REC709.xy.ravel()))
-    spec.attribute("colorInteropID", "lin_rec709_scene")
+    xy = form.primaries.xy.ravel()
+    spec.attribute("chromaticities", oiio.TypeDesc("float[8]"), tuple(xy))
+    name = interop_id(form.primaries)
+    if name is not None:
+        spec.attribute("colorInteropID", name)
     spec.attribute("PixelAspectRatio", float(form.pixel_aspect))
     if form.pixels_per_inch is not None:
         spec.attribute("ResolutionUnit", "in")

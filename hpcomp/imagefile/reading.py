@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..encoding import color_space, parse_hex_color
+from ..encoding import Primaries, color_space, parse_hex_color
 from ..errors import InputError, MismatchError, unknown_name
 from ..geometry import Window
 from ..samples import Decoding, Rgba, Samples, Strip, linear_rgba
@@ -106,6 +106,10 @@ class LayerReader:
         """Memory of the codec as long as the file is open."""
         return self._source.bytes_held
 
+    def work_in(self, primaries: Primaries) -> None:
+        """Decodes into these primaries from now on, instead of into Rec. 709."""
+        self.decoding = replace(self.decoding, working=primaries)
+
     def close(self) -> None:
         self._source.close()
 
@@ -172,7 +176,9 @@ class LayerReader:
 
 @dataclass(frozen=True)
 class LayerImage:
-    """The pixels of a layer: (height, width, 4) float32, linear Rec. 709, premultiplied."""
+    """The pixels of a layer: (height, width, 4) float32, linear, premultiplied, Rec. 709 unless
+    other primaries were asked for.
+    """
 
     pixels: Rgba
     data_window: Window

@@ -6,6 +6,7 @@ import os
 from dataclasses import dataclass
 from typing import Any, Protocol
 
+from ..encoding import REC709, Primaries
 from ..errors import SettingError, unknown_name
 from ..geometry import Window
 from ..samples import Samples
@@ -133,11 +134,15 @@ def open_writer(
     data_window: Window,
     display_window: Window,
     *,
+    primaries: Primaries = REC709,
     pixel_aspect: float = 1.0,
     pixels_per_metre: tuple[float, float] | None = None,
     label: str | None = None,
 ) -> ImageWriter:
-    """A writer of samples of `form.kind` (rows, width, 4) to `path`; `label` names it in errors."""
+    """A writer of samples of `form.kind` (rows, width, 4) to `path`; `label` names it in errors.
+
+    `primaries`: those of the samples.
+    """
     if form.format == "png":
         return pngwriter.PngWriter(
             path,
@@ -156,6 +161,7 @@ def open_writer(
         display_window,
         pixel_aspect,
         pixels_per_metre and pixels_per_metre[0] * METRES_PER_INCH,
+        primaries=primaries,
     )
     if form.by_openimageio:
         from .openimageio import OpenImageIOExrWriter

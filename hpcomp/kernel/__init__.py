@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from ..addition import ROUNDING_ANGLE
 from ..compositing import Reduction, StackRules
-from ..encoding import SRGB, Losses, decode_table, to_rec709
+from ..encoding import REC709, SRGB, Losses, Primaries, conversion, decode_table, to_xyz
 from ..errors import unknown_name
 from ..gamut import bounds_of
 from ..orders import ORDERS
@@ -78,13 +78,16 @@ class Accumulator:
             if number not in self._decoded:
                 self.nonfinite[number] += count
 
-    def result(self, kind: str, losses: Losses, measures: Any = None) -> Samples:
-        """The composite (height, width, 4), as samples of that kind.
+    def result(
+        self, kind: str, losses: Losses, gamut: Primaries = REC709, measures: Any = None
+    ) -> Samples:
+        """The composite (height, width, 4), as samples of that kind; codes are of that gamut.
 
         `measures`: a `_kernel.Measures` to add to; all layers have been added at once.
         """
         out = np.empty(self.shape, OUTPUT_TYPES[kind])
-        counts, nonfinite = self._strip.result(out, *_codes(out.dtype), measures)
+        codes = _codes(out.dtype, self.rules.primaries, gamut)
+        counts, nonfinite = self._strip.result(out, *codes, measures)
         losses.out_of_gamut += counts[0]
         losses.light_without_alpha += counts[1]
         losses.not_a_number += counts[2]
@@ -119,7 +122,7 @@ def layer_of(
         samples,
         _table(samples, decoding),
         decoding.alpha_mode == "straight",
-        _matrix(decoding),
+        _matrix(decoding.encoding.primaries, decoding.working),
         strip.left,
         strip.top,
         rules.opacities[number],
@@ -199,8 +202,8 @@ def _table(samples: Samples, decoding: Decoding) -> NDArray[np.float32] | None:
 
 
 @cache
-def _matrix(decoding: Decoding) -> list[float] | None:
-    matrix = to_rec709(decoding.encoding.primaries)
+def _matrix(source: Primaries, target: Primaries) -> list[float] | None:
+    matrix = conversion(source, target)
     return None if matrix is None else [float(value) for value in matrix.ravel()]
 
 
@@ -209,14 +212,17 @@ _BUCKET_BITS = {8: 7, 16: 12}
 
 
 @cache
-def _codes(dtype: np.dtype[Any]) -> tuple[Any, ...]:
-    """How linear light becomes code values: thresholds, the first code of each bucket, limits.
+def _codes(
+    dtype: np.dtype[Any], working: Primaries = REC709, gamut: Primaries = REC709
+) -> tuple[Any, ...]:
+    """How linear light becomes code values: thresholds, the first code of each bucket, limits, the
+    way from the working primaries to those of the codes, and the luminance weights of these.
 
     A code begins half a step below its value. Buckets are runs of float32 numbers, found by
     shifting their bits; from the first code of its bucket a value climbs to its own.
     """
     if dtype.kind != "u":
-        return None, None, 1, [0.0, 0.0, 0.0, 0.0]
+        return None, None, 1, [0.0, 0.0, 0.0, 0.0], None, [0.0, 0.0, 0.0]
     largest = int(np.iinfo(dtype).max)
     steps = (np.arange(largest) + 0.5) / largest
     thresholds = np.append(SRGB.decode(steps), np.inf).astype(np.float32)
@@ -230,4 +236,5 @@ def _codes(dtype: np.dtype[Any]) -> tuple[Any, ...]:
     first_code = np.searchsorted(thresholds, begins, side="right").astype(np.uint16)
     half_code = 0.5 / largest
     lowest, darkest, highest = SRGB.decode(np.array([-half_code, half_code, 1 + half_code]))
-    return thresholds, first_code, bits, [float(lowest), float(darkest), float(highest), smallest]
+    limits = [float(lowest), float(darkest), float(highest), smallest]
+    return thresholds, first_code, bits, limits, _matrix(working, gamut), list(to_xyz(gamut)[1])

@@ -142,9 +142,7 @@ void reduce_layers(const Rules &rules, const Layer *layers, int count, int width
 // --- planes to samples ---------------------------------------------------------------------------
 
 // The same luminance and hue with every channel in [0, 1]: chroma shrinks, white and black are ends.
-void into_gamut(const Rules &rules, float *rgb) {
-    const double weights[3] = {rules.weight_red, 1.0 - rules.weight_red - rules.weight_blue,
-                               rules.weight_blue};
+void into_gamut(const double *weights, float *rgb) {
     double luminance = weights[0] * rgb[0] + weights[1] * rgb[1] + weights[2] * rgb[2];
     luminance = luminance != luminance ? 1 : luminance < 0 ? 0 : luminance > 1 ? 1 : luminance;
     double fits = 1;
@@ -168,7 +166,7 @@ HPCOMP_INLINE uint32_t code_of(const Output &out, float linear) {
 }
 
 template <class Code>
-HPCOMP_INLINE void store_codes(const Rules &rules, int n, float *red, float *green, float *blue,
+HPCOMP_INLINE void store_codes(int n, float *red, float *green, float *blue,
                                float *alpha, const Output &out, Code *to, Losses *losses) {
     constexpr double largest = Code(~Code(0));
     constexpr double kRounder = 6755399441055744.0;  // 1.5 * 2^52: adding it rounds to an integer
@@ -205,7 +203,7 @@ HPCOMP_INLINE void store_codes(const Rules &rules, int n, float *red, float *gre
             bool out_of_gamut = false;
             for (const float v : rgb) out_of_gamut |= v < out.lowest || v > out.highest;
             if (!out_of_gamut) continue;
-            into_gamut(rules, rgb);
+            into_gamut(out.weights, rgb);
             red[i] = rgb[0], green[i] = rgb[1], blue[i] = rgb[2];
         }
     }
@@ -274,13 +272,14 @@ void finish(const Rules &rules, int64_t pixels, const State &state, const Output
                 blue[i] *= rules.gain;
             }
         }
+        if (out.has_matrix) convert(out.matrix, n, red, green, blue);
         switch (out.type) {
         case Sample::kU8:
-            store_codes(rules, n, red, green, blue, alpha, out,
+            store_codes(n, red, green, blue, alpha, out,
                         static_cast<uint8_t *>(out.samples) + 4 * begin, losses);
             break;
         case Sample::kU16:
-            store_codes(rules, n, red, green, blue, alpha, out,
+            store_codes(n, red, green, blue, alpha, out,
                         static_cast<uint16_t *>(out.samples) + 4 * begin, losses);
             break;
         case Sample::kHalf: {

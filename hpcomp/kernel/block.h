@@ -93,6 +93,9 @@ struct Output {
     int bucket_bits;            // buckets an octave, as a power of two
     float smallest;             // a power of two below the first threshold: where buckets begin
     float lowest, darkest, highest;  // half a code value outside and above black
+    int has_matrix;
+    float matrix[9];            // from the working primaries to those of the codes, by rows
+    double weights[3];          // luminance of these
 };
 
 struct Losses {

@@ -71,6 +71,16 @@ HPCOMP_INLINE void unpack_any(const Layer &layer, int64_t pixel, const char *row
     }
 }
 
+// Colours of `n` pixels in other primaries, by the rows of a matrix.
+HPCOMP_INLINE void convert(const float *m, int n, float *red, float *green, float *blue) {
+    for (int i = 0; i < n; ++i) {
+        const float r = red[i], g = green[i], b = blue[i];
+        red[i] = m[0] * r + m[1] * g + m[2] * b;
+        green[i] = m[3] * r + m[4] * g + m[5] * b;
+        blue[i] = m[6] * r + m[7] * g + m[8] * b;
+    }
+}
+
 // Linear, premultiplied RGBA planes of `n` pixels of row `y` from column `x` of the strip, at the
 // layer's opacity: transparent where it has no pixels. Returns how many are NaN or infinite.
 HPCOMP_INLINE int64_t load(const Layer &layer, int x, int y, int n, float *red, float *green,
@@ -107,15 +117,7 @@ HPCOMP_INLINE int64_t load(const Layer &layer, int x, int y, int n, float *red, 
             }
         }
     }
-    if (layer.has_matrix && layer.channels >= 3) {
-        const float *m = layer.matrix;
-        for (int i = 0; i < there; ++i) {
-            const float r = red[i], g = green[i], b = blue[i];
-            red[i] = m[0] * r + m[1] * g + m[2] * b;
-            green[i] = m[3] * r + m[4] * g + m[5] * b;
-            blue[i] = m[6] * r + m[7] * g + m[8] * b;
-        }
-    }
+    if (layer.has_matrix && layer.channels >= 3) convert(layer.matrix, there, red, green, blue);
     if (layer.channels % 2 == 0) {
         for (int i = 0; i < there; ++i) alpha[i] = clamped(alpha[i]);
         if (layer.alpha_straight) {

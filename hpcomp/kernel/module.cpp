@@ -285,6 +285,7 @@ class Accumulator {
     std::pair<std::vector<int64_t>, std::vector<int64_t>>
     result(nb::ndarray<nb::device::cpu, nb::c_contig> out, std::optional<Table> thresholds,
            std::optional<CodeTable> first_code, int bucket_bits, std::array<float, 4> limits,
+           std::optional<std::array<float, 9>> matrix, std::array<double, 3> weights,
            StripMeasures *measures) {
         if (out.ndim() != 3 || int64_t(out.shape(0)) != height_ || int64_t(out.shape(1)) != width_ ||
             out.shape(2) != 4)
@@ -296,6 +297,9 @@ class Accumulator {
         output.type = sample_of(out.dtype());
         if (output.type == Sample::kU8 || output.type == Sample::kU16)
             check_codes(output, thresholds, first_code, bucket_bits, limits);
+        output.has_matrix = matrix.has_value();
+        if (matrix) std::copy(matrix->begin(), matrix->end(), output.matrix);
+        std::copy(weights.begin(), weights.end(), output.weights);
         finished_ = true;
         const std::vector<StripLayer> held = std::move(held_);
         std::vector<int64_t> nonfinite(held.size(), 0);
@@ -483,7 +487,7 @@ NB_MODULE(_kernel, module) {
         .def("add", &Accumulator::add, "numbers"_a, "layers"_a)
         .def("result", &Accumulator::result, "out"_a.noconvert(), "thresholds"_a.none().noconvert(),
              "first_code"_a.none().noconvert(),
-             "bucket_bits"_a, "limits"_a, "measures"_a.none() = nb::none());
+             "bucket_bits"_a, "limits"_a, "matrix"_a.none(), "weights"_a, "measures"_a.none() = nb::none());
     nb::class_<StripMeasures>(module, "Measures")
         .def_prop_ro("unmeasured", [](const StripMeasures &of) { return of.found.unmeasured; })
         .def_prop_ro("order_sensitive", [](const StripMeasures &of) { return of.found.order_sensitive; });

@@ -32,6 +32,7 @@ def as_data(pixel: PixelExplanation) -> dict[str, Any]:
         "blending": rules.blending.name,
         "order": rules.order.name,
         "space": rules.space.name,
+        "primaries": rules.primaries.name,
         "hue_tolerance": rules.hue_tolerance,
         "gray_bias": rules.gray_bias,
         "foreign_tolerance": pixel.settings.foreign_tolerance,
@@ -139,6 +140,7 @@ def as_text(pixel: PixelExplanation) -> str:
     lines = [
         f"pixel {pixel.x},{pixel.y} of canvas {pixel.canvas}",
         f"{rules.blending.name}, order {rules.order.name}, space {rules.space.name}, "
+        f"primaries {rules.primaries.name}, "
         f"hues equal up to {rules.hue_tolerance:g}°, foreign beyond "
         f"{pixel.settings.foreign_tolerance:.3g}°"
         + (f", gray bias {rules.gray_bias:g}" if rules.gray_bias else "")
