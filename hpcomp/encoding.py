@@ -164,6 +164,8 @@ PRIMARIES: dict[str, Primaries] = {
 REC709 = PRIMARIES["rec709"]
 #: Those that a stack may be asked to be composited in; a file may have others.
 WORKING_PRIMARIES = ("rec709", "display-p3", "rec2020", "acescg")
+#: Those that a PNG can be written in.
+OUT_PRIMARIES = ("rec709", "display-p3", "rec2020")
 #: Asks for those of the bottom layer.
 BOTTOM = "bottom"
 

@@ -98,6 +98,7 @@ def result_and_findings(
     accumulator: Accumulator,
     kind: str,
     losses: Losses,
+    gamut: Primaries,
     rules: StackRules,
     settings: MeasureSettings,
     bins: int,
@@ -112,6 +113,16 @@ def result_and_findings(
     """
     module = import_module(measuring(rules).MEASURING)
     found: tuple[Samples, StackFindings, Provenance | None] = module.result_and_findings(
-        accumulator, kind, losses, rules, settings, bins, strips, width, height, with_provenance
+        accumulator,
+        kind,
+        losses,
+        gamut,
+        rules,
+        settings,
+        bins,
+        strips,
+        width,
+        height,
+        with_provenance,
     )
     return found

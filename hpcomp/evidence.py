@@ -23,6 +23,7 @@ from .findings import StackFindings
 from .geometry import Window
 from .histogram import DEFAULT_ACHROMATIC, DEFAULT_BINS, HueHistogram
 from .imagefile.exrscanlines import ExrForm, ExrScanlineWriter
+from .imagefile.writing import OutputForm
 from .measures import (
     ENERGY_WEIGHTS,
     MeasureSettings,
@@ -248,7 +249,7 @@ class Evidence:
         accumulator: engine.Accumulator,
         strips: Sequence[Strip],
         rows: Window,
-        kind: str,
+        form: OutputForm,
         losses: Losses,
     ) -> tuple[Samples, Found]:
         """The accumulated strip `rows` as samples, and what is found of it.
@@ -258,8 +259,9 @@ class Evidence:
         with_provenance = self._provenance is not None or self._preview is not None
         samples, findings, provenance = engine.result_and_findings(
             accumulator,
-            kind,
+            form.kind,
             losses,
+            form.gamut,
             self._rules,
             self._settings,
             self._bins,

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .compositing import StackRules
-from .encoding import Losses
+from .encoding import Losses, Primaries
 from .histogram import DEFAULT_BINS, HueHistogram, hue_histogram
 from .measures import (
     BLOCK_PIXELS,
@@ -95,10 +95,10 @@ def findings(
 
 
 def result_and_findings(
-    accumulator: Any, kind: str, losses: Losses, *what: Any
+    accumulator: Any, kind: str, losses: Losses, gamut: Primaries, *what: Any
 ) -> tuple[Samples, StackFindings, Provenance | None]:
     """The accumulated strip's samples, and the `findings` of `what`."""
-    samples: Samples = accumulator.result(kind, losses)
+    samples: Samples = accumulator.result(kind, losses, gamut)
     return samples, *findings(*what)
 
 

@@ -7,6 +7,7 @@ to the profile's own white. No files here.
 from __future__ import annotations
 
 import struct
+from collections.abc import Iterable
 from functools import lru_cache
 from typing import Any
 
@@ -27,6 +28,7 @@ from .encoding import (
     mirrored,
     of_channels,
     primaries_from_xy,
+    to_xyz,
 )
 
 Array = NDArray[np.floating[Any]]
@@ -72,6 +74,54 @@ def description(profile: bytes) -> str:
         return tag[12 : 12 + length].rstrip(b"\0").decode("latin-1")
     except (KeyError, struct.error, ValueError):
         return ""
+
+
+def profile(name: str, primaries: Primaries) -> bytes:
+    """A display profile of these primaries and the curve of sRGB. ICC.1:2022, 8.4.3: version 4.3.
+
+    Without a date, so that it is the same whenever it is made.
+    """
+    white = np.array([primaries.white[0], primaries.white[1], 1 - sum(primaries.white)])
+    chad = adaptation(white / primaries.white[1], _D50)
+    # Its RGB→XYZ is adapted to D65 already: from there to D50.
+    colorants = adaptation(_D65, _D50) @ np.array(to_xyz(primaries))
+    curve = b"para" + bytes(4) + struct.pack(">HH", 3, 0) + _fixed(_SRGB_PARAMETERS)
+    tags = {
+        b"desc": _text(name),
+        b"cprt": _text("CC0"),
+        b"wtpt": b"XYZ " + bytes(4) + _fixed(_D50),
+        b"chad": b"sf32" + bytes(4) + _fixed(chad.ravel()),
+        **{
+            bytes([letter]) + b"XYZ": b"XYZ " + bytes(4) + _fixed(colorants[:, i])
+            for i, letter in enumerate(b"rgb")
+        },
+        **{bytes([letter]) + b"TRC": curve for letter in b"rgb"},
+    }
+    directory, data = struct.pack(">I", len(tags)), b""
+    places: dict[bytes, int] = {}
+    for tag, content in tags.items():
+        if content not in places:
+            places[content] = 128 + 4 + 12 * len(tags) + len(data)
+            data += content + bytes(-len(content) % 4)
+        directory += tag + struct.pack(">II", places[content], len(content))
+    size = 128 + len(directory) + len(data)
+    header = struct.pack(">I4xI", size, 0x04300000) + b"mntrRGB XYZ " + bytes(12) + b"acsp"
+    return (header + bytes(28) + _fixed(_D50)).ljust(128, b"\0") + directory + data
+
+
+#: g, a, b, c and d of the curve of sRGB; IEC 61966-2-1:1999.
+_SRGB_PARAMETERS = (2.4, 1 / 1.055, 0.055 / 1.055, 1 / 12.92, 0.04045)
+
+
+def _fixed(numbers: Iterable[float]) -> bytes:
+    """As s15Fixed16Numbers."""
+    stored = [round(float(number) * 65536) for number in numbers]
+    return struct.pack(f">{len(stored)}i", *stored)
+
+
+def _text(text: str) -> bytes:
+    data = text.encode("utf-16-be")
+    return b"mluc" + struct.pack(">4xII4sII", 1, 12, b"enUS", len(data), 28) + data
 
 
 def _encoding(profile: bytes, grey: bool) -> ColorEncoding:

@@ -58,7 +58,8 @@ def warn_of_zeroed(readers: Sequence[LayerReader], notices: Notices) -> None:
 def warn_of_losses(label: str, losses: Losses, notices: Notices) -> None:
     for count, what in (
         (losses.out_of_gamut, "outside the gamut and lost saturation or brightness: "
-                              "write EXR to keep them, or lower --exposure"),
+                              "write EXR or wider --out-primaries to keep them, "
+                              "or lower --exposure"),
         (losses.light_without_alpha, "light without alpha, which PNG cannot hold: "
                                      "put a --background under them, or write EXR"),
         (losses.not_a_number, "NaN and became transparent"),

@@ -18,7 +18,7 @@ from .addition import DEFAULT_HUE_TOLERANCE
 from .budget import DEFAULT_MAX_MEMORY, LAYERS_AT_ONCE, Budget, parse_bytes
 from .canvas import output_window
 from .compositing import Reduction, StackRules
-from .encoding import Losses, working_primaries
+from .encoding import REC709, Losses, working_primaries
 from .errors import MismatchError, SettingError
 from .geometry import Window, parse_window
 from .imagefile import (
@@ -76,6 +76,7 @@ def stack(
     gray_bias: float = 0.0,
     depth: str | int | None = None,
     compression: str | int | None = None,
+    out_primaries: str | None = None,
     exposure: float = 0.0,
     region: str | Window | None = None,
     clobber: bool = True,
@@ -99,8 +100,9 @@ def stack(
     `layers`: LAYER strings, paths or `LayerSpec`. `output`: a path ending in .png or .exr, or `-`
     for stdout with `format`. The options are those of `hpcomp stack` and mean the same;
     `primaries` are those that colours are blended in and an EXR is written in, `bottom` those of
-    the bottom layer. `background` is a CSS hex colour, or straight linear RGB in these primaries,
-    in Rec. 709 with `bottom`; `max_memory` is in bytes, or `512M`, `1G`.
+    the bottom layer; `out_primaries` those of a PNG, Rec. 709 if None. `background` is a CSS hex
+    colour, or straight linear RGB in these primaries, in Rec. 709 with `bottom`; `max_memory` is in
+    bytes, or `512M`, `1G`.
     `report`: one path or several, each ending in .txt, .json, .csv, .svg, .png, .pdf or .html, for
     what blending did to the hues; `foreign_tolerance` in degrees (twice `hue_tolerance` if None),
     `achromatic` in [0, 1], `energy_weights` of red, green and blue, and `bins` decide what it
@@ -125,7 +127,7 @@ def stack(
         primaries,
         gray_bias=gray_bias,
     )
-    form = OutputForm.checked(format_of_output(output, format), depth, compression)
+    form = OutputForm.checked(format_of_output(output, format), depth, compression, out_primaries)
     if overscan and form.format == "png":
         raise SettingError("a PNG ends at its canvas: --overscan needs an EXR output")
     wanted_region = parse_window(region) if isinstance(region, str) else region
@@ -256,7 +258,8 @@ def _settings_in_words(
         "background": "none" if background is None else str(background),
         "exposure": f"{rules.exposure:g} stops, left out of all measures",
         "canvas": str(canvas),
-        "output": f"{form.format.upper()}, {form.depth}, {form.compression}",
+        "output": f"{form.format.upper()}, {form.depth}, {form.compression}"
+        + ("" if form.gamut == REC709 else f", {form.gamut.name}"),
     }
 
 
@@ -311,6 +314,7 @@ def write_image(
     depth: str | int | None = None,
     compression: str | int | None = None,
     primaries: str = "rec709",
+    out_primaries: str | None = None,
     data_window: Window | None = None,
     display_window: Window | None = None,
     clobber: bool = True,
@@ -321,7 +325,7 @@ def write_image(
     `pixels`: (height, width, 4), linear Rec. 709 or of `primaries`, which an EXR keeps;
     premultiplied, alpha in [0, 1].
     `data_window`: where the pixels lie, +0+0 if not given; `display_window`: as `data_window`.
-    `format`, `depth`, `compression`, `clobber`, `strict`: as in `stack`.
+    `format`, `depth`, `compression`, `out_primaries`, `clobber`, `strict`: as in `stack`.
     Returns: the counts of pixels that the file could not hold as they are.
     Errors: `SettingError`, `MismatchError`, `OutputError`. Warnings: `HpcompWarning`.
     """
@@ -329,7 +333,7 @@ def write_image(
     rgba = np.ascontiguousarray(pixels, np.float32)
     if rgba.ndim != 3 or rgba.shape[2] != 4 or 0 in rgba.shape:
         raise MismatchError(f"pixels have shape {rgba.shape}: height, width and 4 are needed")
-    form = OutputForm.checked(format_of_output(path, format), depth, compression)
+    form = OutputForm.checked(format_of_output(path, format), depth, compression, out_primaries)
     window = data_window or Window(0, 0, rgba.shape[1], rgba.shape[0])
     if (window.height, window.width) != rgba.shape[:2]:
         raise MismatchError(f"data window {window} does not fit pixels of shape {rgba.shape}")
@@ -342,7 +346,8 @@ def write_image(
         )
         try:
             for begin in range(0, window.height, STRIP_ROWS):
-                samples = encode(rgba[begin : begin + STRIP_ROWS], form.kind, losses, working)
+                part = rgba[begin : begin + STRIP_ROWS]
+                samples = encode(part, form.kind, losses, working, form.gamut)
                 writer.write(writer.prepare(begin, samples))
             writer.finish()
         finally:
@@ -411,14 +416,14 @@ def _run(
             begin = rows.y - window.y
             finished = partial(_finished, accumulator, layers, rows, losses, lock)
             if evidence is None:
-                plain = partial(accumulator.result, form.kind)
+                plain = partial(accumulator.result, form.kind, gamut=form.gamut)
                 workers.write_behind(
                     partial(_prepared, partial(finished, plain), writer, begin), writer.write
                 )
                 del plain
             else:
                 strips_up = list(arrived if group[0] == 0 else reversed(arrived))
-                observed = partial(evidence.result, accumulator, strips_up, rows, form.kind)
+                observed = partial(evidence.result, accumulator, strips_up, rows, form)
                 tell = partial(evidence.prepare, strips_up, rows)
                 workers.write_behind(
                     partial(_prepared_both, partial(finished, observed), writer, begin, tell),

@@ -56,11 +56,14 @@ _CICP_PRIMARIES: dict[int, Primaries] = {
     9: PRIMARIES["rec2020"],
     12: PRIMARIES["display-p3"],
 }
+#: The same the other way, for those who write.
+CICP_PRIMARIES = {primaries: code for code, primaries in _CICP_PRIMARIES.items()}
+CICP_SRGB = 13
 _CICP_TRANSFER: dict[int, Transfer] = {
     1: REC709_CAMERA,
     6: REC709_CAMERA,
     8: LINEAR,
-    13: SRGB,
+    CICP_SRGB: SRGB,
     14: REC709_CAMERA,
     15: REC709_CAMERA,
     **HDR_TRANSFERS,

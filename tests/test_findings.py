@@ -344,7 +344,7 @@ def test_findings_beside_a_result_change_neither(name, order, monkeypatch):
     alone, lost = encoding.Losses(), encoding.Losses()
     with np.errstate(all="ignore"):
         samples = accumulated().result("uint8", alone)
-        beside, *found = engine.result_and_findings(accumulated(), "uint8", lost, *what)
+        beside, *found = engine.result_and_findings(accumulated(), "uint8", lost, encoding.REC709, *what)
         expected, planes = engine.findings(*what)
     assert beside.tobytes() == samples.tobytes()
     assert (lost, found[0]) == (alone, expected)
@@ -470,6 +470,8 @@ def test_provenance_of_two_labels_that_meet(name):
 # ---- the door ------------------------------------------------------------------------------------
 
 WIDTH, HEIGHT, BINS = 3, 2, 6
+#: What a result of floats has in place of codes.
+FLOATS = None, None, 1, [0.0] * 4, None, [0.0] * 3
 
 
 def sums(layers=2, bins=BINS):
@@ -708,7 +710,7 @@ class TestDoor:
         accumulator.add([0, 1], [make_layer(), make_layer()])
         out = np.empty((HEIGHT, WIDTH, 4), np.float32)
         with refused():
-            accumulator.result(out, None, None, 1, [0.0] * 4, measures_of_another)
+            accumulator.result(out, *FLOATS, measures_of_another)
 
     @pytest.mark.parametrize("at_once", [1, 2])
     def test_layers_are_measured_when_all_come_at_once(self, at_once):
@@ -726,7 +728,7 @@ class TestDoor:
             accumulator.add(numbers, [make_layer() for _ in numbers])
         out = np.empty((HEIGHT, WIDTH, 4), np.float32)
         with nullcontext() if at_once == 2 else refused():
-            accumulator.result(out, None, None, 1, [0.0] * 4, wanted)
+            accumulator.result(out, *FLOATS, wanted)
 
     @pytest.mark.parametrize("stride", STRIDED)
     def test_layers_are_checked_where_they_are_made(self, stride):

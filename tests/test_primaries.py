@@ -5,9 +5,11 @@ from __future__ import annotations
 import itertools
 import json
 import os
+import struct
 import subprocess
 import sys
 import warnings
+import zlib
 
 import colour
 import command
@@ -467,3 +469,129 @@ def test_the_command(tmp_path, mixed):
     assert run.code == 2
     for name in (*encoding.WORKING_PRIMARIES, "bottom"):
         assert name in run.stderr
+
+
+# ---- PNG in other primaries -----------------------------------------------------------------
+
+#: ITU-T H.273: the code point, and the xy of its primaries.
+WIDE = {"display-p3": (12, "display-p3"), "rec2020": (9, "rec2020")}
+
+
+def chunks_of(path):
+    return dict(pngfile.split(path.read_bytes()))
+
+
+@pytest.mark.parametrize("name", WIDE)
+@pytest.mark.parametrize("depth", [8, 16])
+def test_a_wide_png_says_so_in_every_way_there_is(tmp_path, mixed, name, depth):
+    out = tmp_path / "out.png"
+    hpcomp.stack(mixed[0][2:], out, out_primaries=name, depth=depth)
+    chunks = chunks_of(out)
+    assert chunks[b"cICP"] == bytes([WIDE[name][0], 13, 0, 1])
+    assert b"sRGB" not in chunks
+    *rgb, white = xy(name)
+    assert (b"cHRM", chunks[b"cHRM"]) == pngfile.chrm(white, *rgb)
+    kinds = [kind for kind, _ in pngfile.split(out.read_bytes())]
+    assert kinds[:6] == [b"IHDR", b"cICP", b"iCCP", b"gAMA", b"cHRM", b"IDAT"]
+    part = hpcomp.info(out).parts[0]
+    assert (str(part.encoding), part.encoding_source) == (f"sRGB, {name}", "cICP")
+    assert part.icc_profile == f"{name}, sRGB curve"
+    # Without the first, each of the others says the same.
+    for gone, curve in ((b"cICP",), "sRGB"), ((b"cICP", b"iCCP"), "gamma 2.2"):
+        data = out.read_bytes()
+        for kind in gone:
+            data = pngfile.replace_chunk(data, kind, None)
+        (tmp_path / "less.png").write_bytes(data)
+        assert str(hpcomp.info(tmp_path / "less.png").parts[0].encoding) == f"{curve}, {name}"
+
+
+@pytest.mark.parametrize("name", WIDE)
+def test_its_profile_is_that_of_the_fixture(tmp_path, mixed, name):
+    """Tag by tag, to the rounding of its numbers, and with nothing of the day it was made."""
+    out = tmp_path / "out.png"
+    hpcomp.stack(mixed[0][2:], out, out_primaries=name)
+    data = zlib.decompress(chunks_of(out)[b"iCCP"].partition(b"\0")[2][1:])
+    *rgb, white = xy(name)
+    expected = pngfile.icc_profile("any", rgb, white=white)
+    assert int.from_bytes(data[:4], "big") == len(data)
+    assert len(data) % 4 == 0
+    assert data[24:36] == bytes(12)
+    for place in (slice(8, 24), slice(36, 40), slice(68, 80)):
+        assert data[place] == expected[place]
+
+    def tags(profile):
+        count = int.from_bytes(profile[128:132], "big")
+        rows = (
+            struct.unpack(">4sII", profile[i : i + 12]) for i in range(132, 132 + 12 * count, 12)
+        )
+        return {name: profile[at : at + size] for name, at, size in rows}
+
+    found, wanted = tags(data), tags(expected)
+    assert found.keys() == wanted.keys()
+    for tag in found.keys() - {b"desc", b"cprt"}:
+        numbers = [np.frombuffer(t[tag][8:], ">i4") for t in (found, wanted)]
+        assert found[tag][:8] == wanted[tag][:8]
+        assert np.abs(numbers[0] - numbers[1]).max() <= 1
+
+
+@pytest.mark.parametrize("engine_name", engine.NAMES)
+@pytest.mark.parametrize("working", [*NAMES, "bottom"])
+@pytest.mark.parametrize("name", WIDE)
+@pytest.mark.parametrize("depth", [8, 16])
+def test_a_wide_png_composited_with_nothing(
+    tmp_path, name, depth, working, engine_name, monkeypatch
+):
+    """Comes back equal within one step, whatever it was blended in."""
+    monkeypatch.setenv(engine.VARIABLE, engine_name)
+    png = pngfile.random_png(pngfile.RGBA, depth).with_chunks(
+        head=[pngfile.cicp(WIDE[name][0], 13)]
+    )
+    png.samples[..., 3] |= 1 << (depth - 1)
+    path, out = tmp_path / "a.png", tmp_path / "out.png"
+    path.write_bytes(png.encode())
+    hpcomp.stack([path], out, out_primaries=name, primaries=working, depth=depth, strict=True)
+    found = pngfile.decode(out.read_bytes()).astype(int)
+    assert np.abs(found - png.samples).max() <= 1
+
+
+def test_another_curve_comes_back_as_the_same_light(tmp_path):
+    """That of BT.2020 is written on the curve of sRGB: equal within one step of that."""
+    png = pngfile.random_png(pngfile.RGB, 16).with_chunks(head=[pngfile.cicp(9, 14)])
+    path, out = tmp_path / "a.png", tmp_path / "out.png"
+    path.write_bytes(png.encode())
+    hpcomp.stack([path], out, out_primaries="rec2020", depth=16, strict=True)
+    light = hpcomp.read_layer(path, primaries="rec2020").pixels[..., :3]
+    codes = pngfile.decode(out.read_bytes())[..., :3]
+    assert np.abs(codes - 65535 * pngfile.linear_to_srgb(light)).max() <= 1
+
+
+@pytest.mark.skipif(engine._kernel() is None, reason="the kernel was not built")
+@pytest.mark.parametrize("gamut", WIDE)
+@pytest.mark.parametrize("name", NAMES)
+def test_engines_agree_on_codes_of_wide_gamuts(name, gamut):
+    rgba = np.concatenate([*layers_of(20), *(3 * layer for layer in layers_of(2, seed=5))])
+    rgba[..., 3] = np.clip(rgba[..., 3], 0, 1)
+    found = []
+    for module in (engine._kernel(), engine.reference):
+        accumulator = module.start(stack_rules(1, primaries=name), rgba.shape[1], rgba.shape[0])
+        accumulator.add([0], [Strip(rgba)])
+        found.append(accumulator.result("uint8", Losses(), PRIMARIES[gamut]).astype(int))
+    assert np.abs(found[0] - found[1]).max() <= 1
+    assert (found[0] != found[1]).mean() < 1e-3
+
+
+def test_pictures_of_arrays_in_wide_png(tmp_path):
+    layer = np.full((4, 5, 4), [0.25, 0.5, 0.0625, 1.0], np.float32)
+    out = tmp_path / "out.png"
+    hpcomp.write_image(out, layer, primaries="display-p3", out_primaries="display-p3")
+    codes = pngfile.decode(out.read_bytes())[0, 0, :3]
+    assert codes.tolist() == np.rint(255 * pngfile.linear_to_srgb(layer[0, 0, :3])).tolist()
+    hpcomp.write_image(out, layer, out_primaries="rec709")
+    assert b"sRGB" in chunks_of(out)
+
+
+def test_an_exr_takes_no_out_primaries(tmp_path, mixed):
+    with pytest.raises(SettingError, match="--primaries instead"):
+        hpcomp.stack(mixed[0], tmp_path / "out.exr", out_primaries="display-p3")
+    with pytest.raises(SettingError, match=r"(?=.*rec709)(?=.*display-p3)(?=.*rec2020)"):
+        hpcomp.stack(mixed[0], tmp_path / "out.png", out_primaries="acescg")

@@ -8,6 +8,7 @@ from typing import Any
 
 import click
 
+from ..encoding import OUT_PRIMARIES
 from ..porter_duff import OPERATORS
 from ..stackfile import LAYER_KEYS
 from .options import LayerCommand, message_options
@@ -67,6 +68,12 @@ argument is an existing file; a value holds no comma. Keys: {", ".join(LAYER_KEY
     metavar="NAME",
     help="PNG: fast (default), small, 0…9. EXR: zip (default), none, rle, zips, piz, pxr24, b44, "
     "b44a, dwaa, dwab, htj2k256, htj2k32.",
+)
+@click.option(
+    "--out-primaries",
+    type=click.Choice(OUT_PRIMARIES),
+    help="PNG: write it in these primaries instead of rec709, on the curve of sRGB. An EXR is "
+    "written in those of --primaries.",
 )
 @stack_options("exposure")
 @click.option("--region", metavar="WxH+X+Y", help="Make only this part of the canvas.")

@@ -11,10 +11,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..encoding import REC709
-from ..pngheader import SIGNATURE
+from .. import iccprofile
+from ..encoding import REC709, Primaries
+from ..pngheader import CICP_PRIMARIES, CICP_SRGB, SIGNATURE
 from ..samples import Samples
-from .deflate import LAST_BLOCK, adler32, crc32, deflated_segment, joined_adler32
+from .deflate import LAST_BLOCK, adler32, crc32, deflated, deflated_segment, joined_adler32
 from .packing import Bytes, png_filtered, size_of_differences
 from .segments import SegmentWriter
 
@@ -101,6 +102,7 @@ class PngWriter(SegmentWriter[Segment]):
         depth: int,
         compression: str,
         *,
+        primaries: Primaries = REC709,
         pixel_aspect: float,
         pixels_per_metre: tuple[float, float] | None,
         label: str,
@@ -112,12 +114,25 @@ class PngWriter(SegmentWriter[Segment]):
         self._adler = 1
         self._put_bytes(SIGNATURE)
         self._put(b"IHDR", struct.pack(">IIBBBBB", width, height, depth, _RGBA, 0, 0, 0))
-        self._put(b"sRGB", b"\0")
-        self._put(b"gAMA", struct.pack(">I", 45455))
-        red, green, blue, white = np.rint(REC709.xy * 100000).astype(int).tolist()
-        self._put(b"cHRM", struct.pack(">8I", *white, *red, *green, *blue))
+        self._put_color(primaries)
         self._put_density(pixel_aspect, pixels_per_metre)
         self._put(b"IDAT", b"\x78\x01")
+
+    def _put_color(self, primaries: Primaries) -> None:
+        """The curve of sRGB and these primaries, in each way that there is, the precise ones first.
+
+        Most readers know no cICP, and some no ICC profile.
+        """
+        if primaries == REC709:
+            self._put(b"sRGB", b"\0")
+        else:
+            self._put(b"cICP", bytes([CICP_PRIMARIES[primaries], CICP_SRGB, 0, 1]))
+            name = f"{primaries.name}, sRGB curve"
+            profile = deflated(iccprofile.profile(name, primaries))
+            self._put(b"iCCP", name.encode("latin-1") + b"\0\0" + profile)
+        self._put(b"gAMA", struct.pack(">I", 45455))
+        red, green, blue, white = np.rint(primaries.xy * 100000).astype(int).tolist()
+        self._put(b"cHRM", struct.pack(">8I", *white, *red, *green, *blue))
 
     def _put_density(
         self, pixel_aspect: float, pixels_per_metre: tuple[float, float] | None

@@ -6,7 +6,7 @@ import os
 from dataclasses import dataclass
 from typing import Any, Protocol
 
-from ..encoding import REC709, Primaries
+from ..encoding import OUT_PRIMARIES, PRIMARIES, REC709, Primaries
 from ..errors import SettingError, unknown_name
 from ..geometry import Window
 from ..samples import Samples
@@ -53,11 +53,15 @@ def format_of_output(path: str, format: str | None = None) -> str:
 
 @dataclass(frozen=True)
 class OutputForm:
-    """The form of an output file, checked: `format` and what that format allows."""
+    """The form of an output file, checked: `format` and what that format allows.
+
+    `gamut`: the primaries of a PNG; an EXR has those of its colours.
+    """
 
     format: str
     depth: str
     compression: str
+    gamut: Primaries = REC709
 
     @property
     def kind(self) -> str:
@@ -96,7 +100,10 @@ class OutputForm:
 
     @staticmethod
     def checked(
-        format: str, depth: str | int | None = None, compression: str | int | None = None
+        format: str,
+        depth: str | int | None = None,
+        compression: str | int | None = None,
+        out_primaries: str | None = None,
     ) -> OutputForm:
         """With the format's own defaults; `SettingError` lists what the format allows."""
         depth = None if depth is None else str(depth)
@@ -107,8 +114,18 @@ class OutputForm:
         ):
             if value is not None and value not in valid:
                 raise unknown_name(f"{format.upper()} {what}", value, valid)
+        if out_primaries is not None and out_primaries not in OUT_PRIMARIES:
+            raise unknown_name("out primaries", out_primaries, OUT_PRIMARIES)
+        if out_primaries is not None and format == "exr":
+            raise SettingError(
+                "an EXR is written in the primaries that colours are blended in: "
+                "--out-primaries is for PNG, give --primaries instead"
+            )
         return OutputForm(
-            format, depth or DEPTHS[format][0], compression or COMPRESSIONS[format][0]
+            format,
+            depth or DEPTHS[format][0],
+            compression or COMPRESSIONS[format][0],
+            PRIMARIES[out_primaries or REC709.name],
         )
 
 
@@ -141,7 +158,7 @@ def open_writer(
 ) -> ImageWriter:
     """A writer of samples of `form.kind` (rows, width, 4) to `path`; `label` names it in errors.
 
-    `primaries`: those of the samples.
+    `primaries`: those of the samples of an EXR.
     """
     if form.format == "png":
         return pngwriter.PngWriter(
@@ -150,6 +167,7 @@ def open_writer(
             data_window.height,
             int(form.depth),
             form.compression,
+            primaries=form.gamut,
             pixel_aspect=pixel_aspect,
             pixels_per_metre=pixels_per_metre,
             label=label or path,

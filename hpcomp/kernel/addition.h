@@ -80,8 +80,7 @@ HPCOMP_INLINE ScaledPair scaled_pair(float p0, float p1, float q0, float q1) {
 
 // p <- p (+) q: planes of n.
 template <bool kBiased>
-HPCOMP_INLINE void add_keeping_hue(const Rules &rules, int n, float *p0, float *p1, const float *q0,
-                                   const float *q1) {
+HPCOMP_INLINE void add_keeping_hue(const Rules &rules, int n, Row p0, Row p1, ConstRow q0, ConstRow q1) {
     Plane biased;
     if (kBiased) {
         // A loop of its own: with the shoulder in it, it would be too long to be vectorised.
@@ -106,8 +105,8 @@ HPCOMP_INLINE void add_keeping_hue(const Rules &rules, int n, float *p0, float *
 }
 
 // p <- p and q, `behind` it or in front of it, by the blending: planes of n.
-HPCOMP_INLINE void add(const Rules &rules, int n, float *p0, float *p1, const float *q0,
-                       const float *q1, bool behind = false) {
+HPCOMP_INLINE void add(const Rules &rules, int n, Row p0, Row p1, ConstRow q0, ConstRow q1,
+                       bool behind = false) {
     switch (rules.blending) {
     case Blending::kHuePreserving:
         if (rules.gray_power > 0)

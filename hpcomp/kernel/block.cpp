@@ -19,9 +19,9 @@ HPCOMP_INLINE void bound(int n, const float *f_a, const float *f_b, const float 
     }
 }
 
-HPCOMP_INLINE void under_all(const Rules &rules, int n, float *luminance, float *p0, float *p1,
-                             float *alpha, const float *lo, const float *hi, const State &at) {
-    float *transmittance = at.transmittance;
+HPCOMP_INLINE void under_all(const Rules &rules, int n, ConstRow luminance, ConstRow p0, ConstRow p1,
+                             ConstRow alpha, const float *lo, const float *hi, const State &at) {
+    Row transmittance = at.transmittance, sum = at.luminance, alpha_sum = at.alpha;
     Plane q0, q1;
     if (rules.maps != Maps::kLinear) {
         for (int i = 0; i < n; ++i) {
@@ -31,31 +31,32 @@ HPCOMP_INLINE void under_all(const Rules &rules, int n, float *luminance, float 
     }
     for (int i = 0; i < n; ++i) {
         const float weight = transmittance[i];
-        at.luminance[i] += weight * luminance[i];  // [R1]
+        sum[i] += weight * luminance[i];  // [R1]
         q0[i] = weight * p0[i];
         q1[i] = weight * p1[i];
-        at.alpha[i] = at_most_one(at.alpha[i] + weight * alpha[i]);
+        alpha_sum[i] = at_most_one(alpha_sum[i] + weight * alpha[i]);
         transmittance[i] *= 1 - alpha[i];
     }
     add(rules, n, at.p0, at.p1, q0, q1, true);
 }
 
-HPCOMP_INLINE void above_all(const Rules &rules, const Layer &layer, int n, float *luminance,
-                             float *p0, float *p1, float *alpha, const float *lo, const float *hi,
+HPCOMP_INLINE void above_all(const Rules &rules, const Layer &layer, int n, ConstRow luminance,
+                             ConstRow p0, ConstRow p1, ConstRow alpha, const float *lo, const float *hi,
                              const State &at) {
-    Plane f_a, f_b;
+    Plane f_a, f_b, q0, q1;
+    Row sum = at.luminance, alpha_sum = at.alpha, below0 = at.p0, below1 = at.p1;
     factor(layer.factor_a, at.alpha, n, f_a);
     factor(layer.factor_b, alpha, n, f_b);
     if (rules.maps != Maps::kLinear) bound(n, f_a, f_b, lo, hi, at);
     for (int i = 0; i < n; ++i) {
-        at.luminance[i] = f_a[i] * luminance[i] + f_b[i] * at.luminance[i];  // [R1]
-        at.alpha[i] = at_most_one(f_a[i] * alpha[i] + f_b[i] * at.alpha[i]);
-        at.p0[i] *= f_b[i];
-        at.p1[i] *= f_b[i];
-        p0[i] *= f_a[i];
-        p1[i] *= f_a[i];
+        sum[i] = f_a[i] * luminance[i] + f_b[i] * sum[i];  // [R1]
+        alpha_sum[i] = at_most_one(f_a[i] * alpha[i] + f_b[i] * alpha_sum[i]);
+        below0[i] *= f_b[i];
+        below1[i] *= f_b[i];
+        q0[i] = f_a[i] * p0[i];
+        q1[i] = f_a[i] * p1[i];
     }
-    add(rules, n, at.p0, at.p1, p0, p1, layer.behind);  // Eq. 2 with (+)
+    add(rules, n, at.p0, at.p1, q0, q1, layer.behind);  // Eq. 2 with (+)
 }
 
 HPCOMP_INLINE State state_at(const State &state, int64_t pixel) {

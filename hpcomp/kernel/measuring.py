@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..compositing import StackRules
-from ..encoding import Losses
+from ..encoding import Losses, Primaries
 from ..findings import StackFindings
 from ..histogram import HueHistogram
 from ..measures import (
@@ -104,6 +104,7 @@ def result_and_findings(
     accumulator: Accumulator,
     kind: str,
     losses: Losses,
+    gamut: Primaries,
     rules: StackRules,
     settings: MeasureSettings,
     bins: int,
@@ -114,7 +115,7 @@ def result_and_findings(
 ) -> tuple[Samples, StackFindings, Provenance | None]:
     """The strip's samples and its findings, from one pass; its layers have been added at once."""
     sums = _StripSums(rules, settings, bins, len(strips), width, height, with_provenance)
-    samples = accumulator.result(kind, losses, sums.measures)
+    samples = accumulator.result(kind, losses, gamut, sums.measures)
     return samples, *sums.findings()
 
 
