@@ -7,24 +7,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from .spaces import REC709_TO_XYZ
+from .uniformspaces import ROOTS_TO_LAB, XYZ_TO_LMS
+
 Floats = NDArray[np.floating[Any]]
 
 #: Linear Rec. 709 to cone responses, and their cube roots to (L, a, b).
-#: Ottosson: A perceptual color space for image processing, 2020, in the digits of 2021-01-25.
-_TO_CONES = np.array(
-    [
-        [0.4122214708, 0.5363325363, 0.0514459929],
-        [0.2119034982, 0.6806995451, 0.1073969566],
-        [0.0883024619, 0.2817188376, 0.6299787005],
-    ]
-)
-_TO_LAB = np.array(
-    [
-        [0.2104542553, 0.7936177850, -0.0040720468],
-        [1.9779984951, -2.4285922050, 0.4505937099],
-        [0.0259040371, 0.7827717662, -0.8086757660],
-    ]
-)
+_TO_CONES = np.array(XYZ_TO_LMS) @ np.array(REC709_TO_XYZ)
+_TO_LAB = np.array(ROOTS_TO_LAB)
 
 #: What is added to both luminances of a contrast: the light that a screen reflects. WCAG 2.2.
 FLARE = 0.05
