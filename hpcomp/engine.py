@@ -23,8 +23,8 @@ from .errors import SettingError, unknown_name
 from .samples import Samples, Strip
 
 if TYPE_CHECKING:  # only reports need them
-    from .findings import StackFindings
-    from .measures import MeasureSettings, Provenance
+    from .findings import MeasuredStrip, StackFindings
+    from .measures import Provenance
 
 #: The environment variable that chooses.
 VARIABLE = "HPCOMP_ENGINE"
@@ -77,52 +77,22 @@ def measuring(rules: StackRules) -> ModuleType:
     return active() if rules.space.linear else reference
 
 
-def findings(
-    rules: StackRules,
-    settings: MeasureSettings,
-    bins: int,
-    strips: Sequence[Strip],
-    width: int,
-    height: int,
-    with_provenance: bool = False,
-) -> tuple[StackFindings, Provenance | None]:
-    """What the engine that measures finds of a strip, all its layers bottom first."""
-    module = import_module(measuring(rules).MEASURING)
-    found: tuple[StackFindings, Provenance | None] = module.findings(
-        rules, settings, bins, strips, width, height, with_provenance
-    )
+def findings(strip: MeasuredStrip) -> tuple[StackFindings, Provenance | None]:
+    """What the engine that measures finds of a strip."""
+    module = import_module(measuring(strip.rules).MEASURING)
+    found: tuple[StackFindings, Provenance | None] = module.findings(strip)
     return found
 
 
 def result_and_findings(
-    accumulator: Accumulator,
-    kind: str,
-    losses: Losses,
-    gamut: Primaries,
-    rules: StackRules,
-    settings: MeasureSettings,
-    bins: int,
-    strips: Sequence[Strip],
-    width: int,
-    height: int,
-    with_provenance: bool = False,
+    accumulator: Accumulator, kind: str, losses: Losses, gamut: Primaries, strip: MeasuredStrip
 ) -> tuple[Samples, StackFindings, Provenance | None]:
     """`accumulator.result` and `findings`, in one pass where the engine can.
 
-    `strips`: those that were added, at once; here bottom first.
+    `strip`: its layers are those that were added, all at once.
     """
-    module = import_module(measuring(rules).MEASURING)
+    module = import_module(measuring(strip.rules).MEASURING)
     found: tuple[Samples, StackFindings, Provenance | None] = module.result_and_findings(
-        accumulator,
-        kind,
-        losses,
-        gamut,
-        rules,
-        settings,
-        bins,
-        strips,
-        width,
-        height,
-        with_provenance,
+        accumulator, kind, losses, gamut, strip
     )
     return found

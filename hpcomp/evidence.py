@@ -19,7 +19,7 @@ from .addition import BLENDINGS
 from .compositing import StackRules
 from .encoding import Losses, Primaries
 from .errors import OutputError, SettingError, why
-from .findings import StackFindings
+from .findings import MeasuredStrip, StackFindings
 from .geometry import Window
 from .histogram import DEFAULT_ACHROMATIC, DEFAULT_BINS, HueHistogram
 from .imagefile.exrscanlines import ExrForm, ExrScanlineWriter
@@ -257,11 +257,7 @@ class Evidence:
         `strips`: of all layers, bottom first.
         """
         with_provenance = self._provenance is not None or self._preview is not None
-        samples, findings, provenance = engine.result_and_findings(
-            accumulator,
-            form.kind,
-            losses,
-            form.gamut,
+        strip = MeasuredStrip(
             self._rules,
             self._settings,
             self._bins,
@@ -269,6 +265,9 @@ class Evidence:
             rows.width,
             rows.height,
             with_provenance,
+        )
+        samples, findings, provenance = engine.result_and_findings(
+            accumulator, form.kind, losses, form.gamut, strip
         )
         return samples, (findings, provenance)
 

@@ -72,34 +72,42 @@ def findings_of(
     return StackFindings(measures, total.layers, total.result, total.traditional), provenance
 
 
-def findings(
-    rules: StackRules,
-    settings: MeasureSettings,
-    bins: int,
-    strips: Sequence[Strip],
-    width: int,
-    height: int,
-    with_provenance: bool = False,
-) -> tuple[StackFindings, Provenance | None]:
-    """The findings of a strip, all its layers bottom first; provenance planes (height, width)."""
+@dataclass(frozen=True)
+class MeasuredStrip:
+    """All layers of a strip, bottom first, and what is to be found of them.
+
+    `width`, `height`: of the strip, in pixels. `with_provenance`: whether that is wanted.
+    """
+
+    rules: StackRules
+    settings: MeasureSettings
+    bins: int
+    strips: Sequence[Strip]
+    width: int
+    height: int
+    with_provenance: bool = False
+
+
+def findings(strip: MeasuredStrip) -> tuple[StackFindings, Provenance | None]:
+    """The findings of a strip, and its provenance planes (height, width) where they are wanted."""
     layers = []
-    for strip in strips:
-        inside = cropped(strip, width, height)
+    for layer in strip.strips:
+        inside = cropped(layer, strip.width, strip.height)
         rgba, _ = linear_rgba(inside)
-        layers.append(spread(rgba, inside.left, inside.top, width, height))
-    found, provenance = findings_of(rules, settings, layers, bins)
-    if not with_provenance:
+        layers.append(spread(rgba, inside.left, inside.top, strip.width, strip.height))
+    found, provenance = findings_of(strip.rules, strip.settings, layers, strip.bins)
+    if not strip.with_provenance:
         return found, None
-    planes = (plane.reshape(height, width) for plane in vars(provenance).values())
+    planes = (plane.reshape(strip.height, strip.width) for plane in vars(provenance).values())
     return found, Provenance(*planes)
 
 
 def result_and_findings(
-    accumulator: Any, kind: str, losses: Losses, gamut: Primaries, *what: Any
+    accumulator: Any, kind: str, losses: Losses, gamut: Primaries, strip: MeasuredStrip
 ) -> tuple[Samples, StackFindings, Provenance | None]:
-    """The accumulated strip's samples, and the `findings` of `what`."""
+    """The samples of the accumulated strip, and its findings."""
     samples: Samples = accumulator.result(kind, losses, gamut)
-    return samples, *findings(*what)
+    return samples, *findings(strip)
 
 
 def _histograms(

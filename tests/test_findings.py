@@ -30,6 +30,7 @@ from hpcomp import encoding, engine, findings, kernel, measures
 from hpcomp.compositing import stack_rules
 from hpcomp.encoding import ColorEncoding
 from hpcomp.errors import SettingError
+from hpcomp.findings import MeasuredStrip
 from hpcomp.histogram import HueHistogram, hue_histogram
 from hpcomp.kernel import _kernel, measuring
 from hpcomp.samples import Decoding, Strip
@@ -49,7 +50,7 @@ def both(rules, strips, width, height, *, bins=360, **settings):
     chosen = measures.measure_settings(rules, **settings)
     with np.errstate(all="ignore"):
         return tuple(
-            module.findings(rules, chosen, bins, strips, width, height, True)
+            module.findings(MeasuredStrip(rules, chosen, bins, strips, width, height, True))
             for module in ENGINES.values()
         )
 
@@ -281,7 +282,7 @@ def test_every_instruction_set_finds_the_same_bits(monkeypatch, order):
         found.append(
             [
                 everything(
-                    measuring.findings(rules, settings, 360, strips_of(layers), 700, 3, True)
+                    measuring.findings(MeasuredStrip(rules, settings, 360, strips_of(layers), 700, 3, True))
                 )
                 for layers in (LAYERS, broken(LAYERS))
             ]
@@ -290,7 +291,7 @@ def test_every_instruction_set_finds_the_same_bits(monkeypatch, order):
     assert all(other == found[0] for other in found)
     monkeypatch.setenv(kernel.LEVEL_VARIABLE, "v9")
     with pytest.raises(SettingError, match="unknown instruction set"):
-        measuring.findings(rules, settings, 360, strips_of(LAYERS), 700, 3)
+        measuring.findings(MeasuredStrip(rules, settings, 360, strips_of(LAYERS), 700, 3))
 
 
 @pytest.mark.parametrize("name", ENGINES)
@@ -302,7 +303,7 @@ def test_parts_add_up_to_the_whole_exactly(name, order):
     layers = layers_of_labels(4, 7, 530)
 
     def found(rows, columns):
-        return module.findings(
+        strip = MeasuredStrip(
             rules,
             settings,
             360,
@@ -312,6 +313,7 @@ def test_parts_add_up_to_the_whole_exactly(name, order):
             rows.stop - rows.start,
             True,
         )
+        return module.findings(strip)
 
     whole, planes = found(slice(0, 7), slice(0, 530))
     for height, width in ((1, 530), (2, 530), (3, 530), (5, 100), (7, 1000)):
@@ -333,19 +335,20 @@ def test_findings_beside_a_result_change_neither(name, order, monkeypatch):
     """Of one pass, they are those of a pass of their own, and so is the result."""
     monkeypatch.setenv(engine.VARIABLE, name)
     rules = stack_rules(4, order=order, background=RED, opacity=[1, 0.5, 1, 0.25])
-    what = rules, measures.measure_settings(rules), 90, strips_of(broken(LAYERS)), 700, 3, True
+    strips = strips_of(broken(LAYERS))
+    strip = MeasuredStrip(rules, measures.measure_settings(rules), 90, strips, 700, 3, True)
 
     def accumulated():
         accumulator = engine.start(rules, 700, 3)
-        arriving = what[3] if rules.arrival[0] == 0 else what[3][::-1]
+        arriving = strips if rules.arrival[0] == 0 else strips[::-1]
         accumulator.add(list(rules.arrival), arriving)
         return accumulator
 
     alone, lost = encoding.Losses(), encoding.Losses()
     with np.errstate(all="ignore"):
         samples = accumulated().result("uint8", alone)
-        beside, *found = engine.result_and_findings(accumulated(), "uint8", lost, encoding.REC709, *what)
-        expected, planes = engine.findings(*what)
+        beside, *found = engine.result_and_findings(accumulated(), "uint8", lost, encoding.REC709, strip)
+        expected, planes = engine.findings(strip)
     assert beside.tobytes() == samples.tobytes()
     assert (lost, found[0]) == (alone, expected)
     for plane, other in zip(vars(found[1]).values(), vars(planes).values(), strict=True):
@@ -368,7 +371,7 @@ def test_findings_of_no_pixel_and_of_other_settings():
 def test_findings_are_those_of_measures_and_histograms(name):
     rules = stack_rules(4, opacity=[1, 0.5, 1, 0.25])
     settings = measures.measure_settings(rules, foreign_tolerance=3.0)
-    found, planes = ENGINES[name].findings(rules, settings, 90, strips_of(LAYERS), 700, 3)
+    found, planes = ENGINES[name].findings(MeasuredStrip(rules, settings, 90, strips_of(LAYERS), 700, 3))
     assert planes is None
     for histogram, layer, opacity in zip(found.layers, LAYERS, rules.opacities, strict=True):
         assert histogram == hue_histogram(layer * np.float32(opacity), bins=90)
@@ -379,19 +382,23 @@ def test_findings_are_those_of_measures_and_histograms(name):
 
 def test_the_engine_that_is_chosen_finds(monkeypatch):
     rules = stack_rules(4)
-    arguments = rules, measures.measure_settings(rules), 360, strips_of(LAYERS), 700, 3, True
+    strip = MeasuredStrip(
+        rules, measures.measure_settings(rules), 360, strips_of(LAYERS), 700, 3, True
+    )
     for name, module in ENGINES.items():
         monkeypatch.setenv(engine.VARIABLE, name)
-        assert everything(engine.findings(*arguments)) == everything(module.findings(*arguments))
+        assert everything(engine.findings(strip)) == everything(module.findings(strip))
 
 
 @pytest.mark.parametrize("name", ENGINES)
 @pytest.mark.parametrize("blending", BLENDING_NAMES)
 def test_every_blending_is_measured(monkeypatch, name, blending):
     rules = stack_rules(4, blending=blending, op="dst-over", background=RED)
-    arguments = rules, measures.measure_settings(rules), 360, strips_of(LAYERS), 700, 3, True
+    strip = MeasuredStrip(
+        rules, measures.measure_settings(rules), 360, strips_of(LAYERS), 700, 3, True
+    )
     monkeypatch.setenv(engine.VARIABLE, name)
-    (ours, planes), (theirs, their_planes) = engine.findings(*arguments), findings.findings(*arguments)
+    (ours, planes), (theirs, their_planes) = engine.findings(strip), findings.findings(strip)
     for found, expected in zip(ours.measures.result.layers, theirs.measures.result.layers, strict=True):
         assert abs(found.survived - expected.survived) <= TIES
         assert found.kept == pytest.approx(expected.kept, rel=SUMS)
@@ -418,7 +425,7 @@ def test_three_labels_at_random_opacities_stay_three_hues(name, order):
     alphas = np.random.default_rng(9).random((3, 60, 80))
     rules = stack_rules(3, order=order)
     settings = measures.measure_settings(rules)
-    found, _ = ENGINES[name].findings(rules, settings, 360, strips_of(labels(alphas)), 80, 60)
+    found, _ = ENGINES[name].findings(MeasuredStrip(rules, settings, 360, strips_of(labels(alphas)), 80, 60))
     lines = [set(np.flatnonzero(layer.count)) for layer in found.layers]
     assert [len(line) for line in lines] == [1, 1, 1]
     assert set(np.flatnonzero(found.result.count)) == set.union(*lines)
@@ -437,7 +444,7 @@ def test_halves_of_one_label_each(name):
     layers = labels(alphas, HUES[:2])
     rules = stack_rules(2)
     settings = measures.measure_settings(rules)
-    found, planes = ENGINES[name].findings(rules, settings, 360, strips_of(layers), 700, 4, True)
+    found, planes = ENGINES[name].findings(MeasuredStrip(rules, settings, 360, strips_of(layers), 700, 4, True))
     for k, pixels in enumerate((1200, 1600)):
         histogram, layer = found.layers[k], found.measures.result.layers[k]
         assert (histogram.chromatic, histogram.transparent) == (pixels, 2800 - pixels)
@@ -459,7 +466,7 @@ def test_provenance_of_two_labels_that_meet(name):
     layers = labels(alphas, (0.0, 180.0))
     rules = stack_rules(2, op="plus")
     settings = measures.measure_settings(rules)
-    _, planes = ENGINES[name].findings(rules, settings, 360, strips_of(layers), 600, 1, True)
+    _, planes = ENGINES[name].findings(MeasuredStrip(rules, settings, 360, strips_of(layers), 600, 1, True))
     chroma = [np.hypot(*rules.space.forward(layer[0, :1, :3].T)[1])[0] for layer in layers]
     assert (planes.layer == 1 + int(np.argmax(chroma))).all()
     small, big = sorted(chroma)

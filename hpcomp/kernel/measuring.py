@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 from numpy.typing import NDArray
 
 from ..compositing import StackRules
 from ..encoding import Losses, Primaries
-from ..findings import StackFindings
+from ..findings import MeasuredStrip, StackFindings
 from ..histogram import HueHistogram
 from ..measures import (
     Angle,
@@ -19,7 +17,7 @@ from ..measures import (
     ResultMeasures,
     StackMeasures,
 )
-from ..samples import Samples, Strip
+from ..samples import Samples
 from . import Accumulator, _kernel, chosen_level, layer_of, rules_of  # type: ignore[attr-defined]
 
 #: The columns of the sums in `measure.h`.
@@ -29,33 +27,25 @@ _RESULTS = 3
 
 
 class _StripSums:
-    """What the loops add to, of one strip of `layers` layers, and the findings that it makes."""
+    """What the loops add to, of one strip, and the findings that it makes."""
 
-    def __init__(
-        self,
-        rules: StackRules,
-        settings: MeasureSettings,
-        bins: int,
-        layers: int,
-        width: int,
-        height: int,
-        with_provenance: bool,
-    ) -> None:
-        self._rules, self._settings, self._n, self._pixels = rules, settings, layers, width * height
-        self._results = np.zeros(
-            (_RESULTS, _RESULT_SUMS + _CONTRIBUTOR_SUMS * (layers + 1)), np.int64
-        )
-        self._hues = np.zeros((layers + _RESULTS, bins, _HUE_COLUMNS), np.int64)
-        self._others = np.zeros((layers + _RESULTS, 3), np.int64)
-        self._provenance = Provenance.none((height, width)) if with_provenance else None
+    def __init__(self, strip: MeasuredStrip) -> None:
+        self._strip, n = strip, len(strip.strips)
+        self._results = np.zeros((_RESULTS, _RESULT_SUMS + _CONTRIBUTOR_SUMS * (n + 1)), np.int64)
+        self._hues = np.zeros((n + _RESULTS, strip.bins, _HUE_COLUMNS), np.int64)
+        self._others = np.zeros((n + _RESULTS, 3), np.int64)
+        self._provenance = None
+        if strip.with_provenance:
+            self._provenance = Provenance.none((strip.height, strip.width))
+        settings = strip.settings
         tolerance = Angle.of(settings.foreign_tolerance)
         sine, cosine = float(tolerance.sine), float(tolerance.cosine)
         self.measures = _kernel.measures(
             [settings.half_step, settings.achromatic, sine, cosine],
-            rules.blending.depends_on_order,
-            layers,
-            width,
-            height,
+            strip.rules.blending.depends_on_order,
+            n,
+            strip.width,
+            strip.height,
             self._results,
             self._hues,
             self._others,
@@ -64,19 +54,19 @@ class _StripSums:
 
     def findings(self) -> tuple[StackFindings, Provenance | None]:
         """To be asked for once."""
-        n = self._n
+        strip, n = self._strip, len(self._strip.strips)
         for sums in (self._results, self._hues[n:], self._others[n:]):
             sums[:-1] += sums[-1]
         histograms = [
-            _histogram(self._rules, self._settings, rows, rest.tolist())
+            _histogram(strip.rules, strip.settings, rows, rest.tolist())
             for rows, rest in zip(self._hues[:-1], self._others[:-1], strict=True)
         ]
         result, traditional = (_result_measures(sums, n) for sums in self._results[:-1].tolist())
         measures = StackMeasures(
-            self._settings,
+            strip.settings,
             result,
             traditional,
-            pixels=self._pixels,
+            pixels=strip.width * strip.height,
             unmeasured=self.measures.unmeasured,
             order_sensitive=self.measures.order_sensitive,
         )
@@ -84,37 +74,22 @@ class _StripSums:
         return found, self._provenance
 
 
-def findings(
-    rules: StackRules,
-    settings: MeasureSettings,
-    bins: int,
-    strips: Sequence[Strip],
-    width: int,
-    height: int,
-    with_provenance: bool = False,
-) -> tuple[StackFindings, Provenance | None]:
-    """The findings of a strip, all its layers bottom first; provenance planes (height, width)."""
-    sums = _StripSums(rules, settings, bins, len(strips), width, height, with_provenance)
-    layers = [layer_of(rules, k, strip, width, height)[0] for k, strip in enumerate(strips)]
+def findings(strip: MeasuredStrip) -> tuple[StackFindings, Provenance | None]:
+    """The findings of a strip, and its provenance planes (height, width) where they are wanted."""
+    sums, rules = _StripSums(strip), strip.rules
+    layers = [
+        layer_of(rules, number, layer, strip.width, strip.height)[0]
+        for number, layer in enumerate(strip.strips)
+    ]
     _kernel.measure(rules_of(rules), layers, sums.measures, chosen_level())
     return sums.findings()
 
 
 def result_and_findings(
-    accumulator: Accumulator,
-    kind: str,
-    losses: Losses,
-    gamut: Primaries,
-    rules: StackRules,
-    settings: MeasureSettings,
-    bins: int,
-    strips: Sequence[Strip],
-    width: int,
-    height: int,
-    with_provenance: bool = False,
+    accumulator: Accumulator, kind: str, losses: Losses, gamut: Primaries, strip: MeasuredStrip
 ) -> tuple[Samples, StackFindings, Provenance | None]:
-    """The strip's samples and its findings, from one pass; its layers have been added at once."""
-    sums = _StripSums(rules, settings, bins, len(strips), width, height, with_provenance)
+    """The samples of the accumulated strip and its findings, from one pass."""
+    sums = _StripSums(strip)
     samples = accumulator.result(kind, losses, gamut, sums.measures)
     return samples, *sums.findings()
 
