@@ -284,6 +284,19 @@ def test_a_finding_says_in_which_blending_it_is_so():
     assert lost.blendings == ("traditional",)
 
 
+def test_a_lost_hue_says_why():
+    def why(color, **options):
+        palette = hpcomp.palette([color, "#ffffff"], **options)
+        (found,) = (finding for finding in palette.findings if finding.kind == "hue-lost")
+        return palettedata.sentence(palette, found).partition(": ")[2]
+
+    assert why("#800000", background="#00f") == "the background's is stronger"
+    # Only + turns a hue that is stronger; that of red in Oklab by white, which has none.
+    turned = "mixing with the background turns it (traditional blending)"
+    assert why("#f00", background="#00f", opacity=0.8) == turned
+    assert why("#e41a1c", space="oklab") == turned
+
+
 def test_on_a_grey_background_both_blendings_show_the_same():
     for on in hpcomp.palette(SET, background="#404040").on_background:
         assert on["traditional"].rgb == pytest.approx(on["hue-preserving"].rgb, abs=1e-12)

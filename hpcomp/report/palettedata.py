@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import printable
-from ..palettes import Finding, Floats, Pair, Palette, Profile
+from ..palettes import TRADITIONAL, Finding, Floats, Pair, Palette, Profile
 from .look import Look, srgb_hex
 
 SCHEMA = "hpcomp.palette"
@@ -195,7 +195,12 @@ def sentence(palette: Palette, finding: Finding) -> str:
             f"{finding.limit:g}, with a contrast of {shown_on.contrast:.2f}:1{only}"
         )
     if finding.kind == "hue-lost":
-        return f"{names[0]} {on} does not have its own hue: the background's is stronger{only}"
+        # Plain + turns the hue of a stronger label as well, in oklab even on white.
+        why = (
+            "mixing with the background turns it" if set(finding.blendings) == {TRADITIONAL}
+            else "the background's is stronger"
+        )  # fmt: skip
+        return f"{names[0]} {on} does not have its own hue: {why}{only}"
     return (
         f"{names[0]} turns grey under {finding.measured:.0%} of {names[1]}, which is less than "
         f"{finding.limit:.0%}: beside such a strong colour it is hardly seen{only}"
