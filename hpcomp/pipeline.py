@@ -104,9 +104,10 @@ def stack(
     colour, or straight linear RGB in these primaries, in Rec. 709 with `bottom`; `max_memory` is in
     bytes, or `512M`, `1G`.
     `report`: one path or several, each ending in .txt, .json, .csv, .svg, .png, .pdf or .html, for
-    what blending did to the hues; `foreign_tolerance` in degrees (twice `hue_tolerance` if None),
-    `achromatic` in [0, 1], `energy_weights` of red, green and blue, and `bins` decide what it
-    counts (0.02, an estimate and 360 if None); `command` is what it says made it.
+    what blending did to the hues; `foreign_tolerance` in degrees (twice `hue_tolerance` if None,
+    more in oklab and cielab), `achromatic` in [0, 1], `energy_weights` of red, green and blue, and
+    `bins` decide what it counts (0.02, an estimate and 360 if None); `command` is what it says made
+    it.
     `provenance`: a path ending in .exr, for the layer whose hue survived in each pixel.
     Returns: what was written, and the findings of a report. Nothing but complete files appear.
     Errors: `SettingError`, `InputError`, `MismatchError`, `OutputError`.
@@ -191,11 +192,12 @@ def stack(
         strip_rows = estimate.rows(block, window.height, budget)
         opened.enter_context(codec_threads([*readers, form], reading=1, writing=n_threads))
         log.info(
-            "%d layers on canvas %s, %s, order %s, primaries %s",
+            "%d layers on canvas %s, %s, order %s, space %s, primaries %s",
             len(specs),
             placed_on,
             blending,
             rules.order.name,
+            rules.space.name,
             rules.primaries.name,
         )
         log.info(

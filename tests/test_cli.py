@@ -985,6 +985,7 @@ def test_verbose_tells_decisions_and_timings(desk):
         "10x8+0+0",
         "hue-preserving",
         "bottom-up",
+        "space linear-rgb",
         "strips",
         "reading",
         "writing",
