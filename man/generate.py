@@ -478,8 +478,8 @@ def _files() -> list[str]:
         *definition(
             italic("*.png"),
             "Read with straight alpha, as sRGB unless a cICP, iCCP, sRGB, gAMA or cHRM chunk says "
-            "otherwise, the first of them in this order. Written in 8 or 16 bits, as sRGB with "
-            "straight alpha.",
+            "otherwise, the first of them in this order. Written in 8 or 16 bits with straight "
+            "alpha, as sRGB or on its curve in the primaries of --out-primaries.",
         ),
         *definition(
             italic("*.exr"),
