@@ -158,14 +158,14 @@ def test_a_premultiplied_value_has_its_alpha_in_it(tmp_path):
 
 def test_several_channels_and_no_word_which(tmp_path):
     path = exr(tmp_path, Z=VALUES, mask=VALUES)
-    with pytest.raises(InputError, match="has no colour, only Z, mask"):
+    with pytest.raises(InputError, match="only Z, mask: choose the mask with layer="):
         tinted(path)
-    with pytest.raises(InputError, match="no colour layer 'N'"):
+    with pytest.raises(InputError, match="no colour layer 'N': there is none, only Z, mask"):
         tinted(path, layer="N")
 
 
 def test_without_a_tint_they_are_no_colour(tmp_path):
-    with pytest.raises(InputError, match="has no colour, only A"):
+    with pytest.raises(InputError, match=r"has no colour, only A: .* or tint= to colour a mask"):
         hpcomp.read_layer(exr(tmp_path, A=VALUES))
 
 

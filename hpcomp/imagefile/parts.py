@@ -160,20 +160,25 @@ def choose(
             f"{label} is a deep EXR: flatten it first, with oiiotool --flatten for example"
         )
     colors = [(p, group) for p in flat for group in p.groups]
+    channels = ", ".join(c.name for p in flat for c in p.channels)
     if layer is not None:
         named = [(p, g) for p, g in colors if g.layer == layer]
         if mask and not named:
             named = [(p, g) for p in flat for g in _masks(p, layer)]
         if not named:
-            there_is = ", ".join(dict.fromkeys(g.layer or "(default)" for _, g in colors)) or "none"
+            there_is = ", ".join(dict.fromkeys(g.layer or "(default)" for _, g in colors))
+            there_is = there_is or (f"none, only {channels}" if channels else "none")
             raise InputError(f"{label}: there is no colour layer '{layer}': there is {there_is}")
     else:
         named = [(p, g) for p, g in colors if not g.layer] or colors
         if mask and not named:
             named = [(p, g) for p in flat for g in _masks(p, None)]
     if not named:
-        channels = ", ".join(c.name for p in flat for c in p.channels)
-        raise InputError(f"{label} has no colour, only {channels}: R, G, B or Y is needed")
+        what_next = (
+            "choose the mask with layer=" if mask
+            else "R, G, B or Y is needed, or tint= to colour a mask"
+        )  # fmt: skip
+        raise InputError(f"{label} has no colour, only {channels}: {what_next}")
     if len(named) > 1:
         several_parts = len({p.index for p, _ in named}) > 1
         key, names = (
