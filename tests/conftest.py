@@ -3,10 +3,16 @@
 import functools
 import os
 
+import numpy as np
 import pytest
 from hypothesis import settings
 
 from hpcomp import arrays, engine
+
+# Some test files compare with colour, whose first import changes how numpy prints; the examples of
+# README are printed as numpy does by itself.
+with np.printoptions():
+    import colour  # noqa: F401
 
 # Reproducible by default: a failure in CI fails on every machine. `thorough` looks for new cases.
 settings.register_profile("default", deadline=None, derandomize=True, max_examples=100)

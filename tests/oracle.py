@@ -310,9 +310,9 @@ def within(c, lo, hi):
     y = luminance(c)
     t = 1.0
     for channel in c:
-        if channel > hi:
+        if channel > max(hi, y):  # of a grey, y may round to it or beyond it
             t = min(t, max(hi - y, 0) / (channel - y))
-        if channel < lo:
+        if channel < min(lo, y):
             t = min(t, max(y - lo, 0) / (y - channel))
     return tuple(y + t * (channel - y) for channel in c)
 
