@@ -2,6 +2,7 @@
 
 import functools
 import os
+import warnings
 
 import numpy as np
 import pytest
@@ -9,9 +10,10 @@ from hypothesis import settings
 
 from hpcomp import arrays, engine
 
-# Some test files compare with colour, whose first import changes how numpy prints; the examples of
-# README are printed as numpy does by itself.
-with np.printoptions():
+# Some test files compare with colour, whose first import changes how numpy prints, where the examples
+# of README are printed as numpy does by itself, and warns of optional packages that nothing here needs.
+with np.printoptions(), warnings.catch_warnings():
+    warnings.simplefilter("ignore")
     import colour  # noqa: F401
 
 # Reproducible by default: a failure in CI fails on every machine. `thorough` looks for new cases.
