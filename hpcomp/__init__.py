@@ -15,6 +15,7 @@ Chuang, Weiskopf, Möller: Hue-Preserving Color Blending, IEEE TVCG 15(6), 2009.
     write_hue_report  histograms -> text, data, a figure or a page, as `hpcomp hues`
     explain           how one pixel of a stack of files comes about
     check             a picture against the layers it was made from, by rules
+    read_jobs         a job file -> jobs; save_jobs writes one
     palette           what the colours of labels blend to, and what may go wrong with them
     write_palette_report  that as text, data or a figure, as `hpcomp palette`
 
@@ -48,6 +49,9 @@ if TYPE_CHECKING:
     from .imagefile import ImageFile as ImageFile
     from .imagefile import LayerImage as LayerImage
     from .imagehues import read_hues as read_hues
+    from .jobfile import Job as Job
+    from .jobfile import read_jobs as read_jobs
+    from .jobfile import save_jobs as save_jobs
     from .measures import StackMeasures as StackMeasures
     from .measures import stack_measures as stack_measures
     from .orders import ORDERS as ORDERS
@@ -87,6 +91,9 @@ _HOME = {
     "ImageFile": ".imagefile",
     "LayerImage": ".imagefile",
     "read_hues": ".imagehues",
+    "Job": ".jobfile",
+    "read_jobs": ".jobfile",
+    "save_jobs": ".jobfile",
     "StackMeasures": ".measures",
     "stack_measures": ".measures",
     "ORDERS": ".orders",

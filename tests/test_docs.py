@@ -534,6 +534,8 @@ STATEMENTS = {
     "write_image": ["`pixels`", "(height, width, 4)", "linear Rec. 709", "premultiplied",
                     "alpha in [0, 1]", "`data_window`", "`display_window`", "Returns:", "Errors:",
                     "Warnings:"],
+    "read_jobs": ["`path`", "`format`", "working directory", "Errors:", "InputError", "SettingError"],
+    "save_jobs": ["`path`", "Errors:", "SettingError", "OutputError"],
     "info": ["how it will be read", "Errors:", "InputError"],
     "hue_histogram": ["`pixels`", "(…, 4)", "linear Rec. 709", "premultiplied", "float32", "degrees",
                       "6 to 3600", "[0, 1]", "Returns:", "Errors:", "SettingError", "MismatchError"],
@@ -586,6 +588,7 @@ def test_stack_takes_the_options_of_the_command_under_their_names():
     command, _ = TREE["hpcomp stack"]
     options = {p.name: p for p in command.params if isinstance(p, click.Option) and p.expose_value}
     parameters = inspect.signature(hpcomp.stack).parameters
+    del options["save_job"]  # it makes nothing
     # The command line is what only the command knows.
     assert set(options) == set(parameters) - {"layers", "command"}
     for name, shown in options.items():

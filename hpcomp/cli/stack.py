@@ -134,8 +134,19 @@ argument is an existing file; a value holds no comma. Keys: {", ".join(LAYER_KEY
     help="Reports: shares of red, green and blue in the power of a display; 0.3,0.25,0.45, an "
     "estimate, if not given.",
 )
+@click.option(
+    "--save-job",
+    metavar="PATH",
+    type=click.Path(readable=False),
+    help="Make nothing, but write the stack as a job of hpcomp batch: to a path ending in .json, "
+    "or as one more line of a .jsonl.",
+)
 @message_options
-def command(layers: tuple[str, ...], output: str, **options: Any) -> None:
+def command(layers: tuple[str, ...], output: str, save_job: str | None, **options: Any) -> None:
+    if save_job is not None:
+        jobfile = load("hpcomp.jobfile")
+        jobfile.save_jobs([jobfile.job_of_stack(layers, output, options)], save_job)
+        return
     pipeline = load("hpcomp.pipeline")
     if options["report"]:
         options["command"] = shlex.join(["hpcomp", *sys.argv[1:]])
