@@ -15,6 +15,10 @@ Chuang, Weiskopf, Möller: Hue-Preserving Color Blending, IEEE TVCG 15(6), 2009.
     write_hue_report  histograms -> text, data, a figure or a page, as `hpcomp hues`
     explain           how one pixel of a stack of files comes about
     check             a picture against the layers it was made from, by rules
+    batch             many stacks, several at a time, as `hpcomp batch`
+    frame_jobs        a sequence of numbered files -> jobs
+    read_jobs         a job file -> jobs
+    save_jobs         jobs -> a job file
     palette           what the colours of labels blend to, and what may go wrong with them
     write_palette_report  that as text, data or a figure, as `hpcomp palette`
 
@@ -29,6 +33,9 @@ __version__ = "0.1.0"
 if TYPE_CHECKING:
     from .arrays import composite as composite
     from .arrays import hue_add as hue_add
+    from .batching import BatchResult as BatchResult
+    from .batching import JobRecord as JobRecord
+    from .batching import batch as batch
     from .checking import CheckResult as CheckResult
     from .checking import check as check
     from .encoding import Losses as Losses
@@ -42,12 +49,16 @@ if TYPE_CHECKING:
     from .errors import SettingError as SettingError
     from .explanation import PixelExplanation as PixelExplanation
     from .explanation import explain as explain
+    from .frames import frame_jobs as frame_jobs
     from .geometry import Window as Window
     from .histogram import HueHistogram as HueHistogram
     from .histogram import hue_histogram as hue_histogram
     from .imagefile import ImageFile as ImageFile
     from .imagefile import LayerImage as LayerImage
     from .imagehues import read_hues as read_hues
+    from .jobfile import Job as Job
+    from .jobfile import read_jobs as read_jobs
+    from .jobfile import save_jobs as save_jobs
     from .measures import StackMeasures as StackMeasures
     from .measures import stack_measures as stack_measures
     from .orders import ORDERS as ORDERS
@@ -66,6 +77,9 @@ if TYPE_CHECKING:
 
 # Where each name lives; the imports above say the same to type checkers.
 _HOME = {
+    "BatchResult": ".batching",
+    "JobRecord": ".batching",
+    "batch": ".batching",
     "CheckResult": ".checking",
     "check": ".checking",
     "composite": ".arrays",
@@ -81,12 +95,16 @@ _HOME = {
     "SettingError": ".errors",
     "PixelExplanation": ".explanation",
     "explain": ".explanation",
+    "frame_jobs": ".frames",
     "Window": ".geometry",
     "HueHistogram": ".histogram",
     "hue_histogram": ".histogram",
     "ImageFile": ".imagefile",
     "LayerImage": ".imagefile",
     "read_hues": ".imagehues",
+    "Job": ".jobfile",
+    "read_jobs": ".jobfile",
+    "save_jobs": ".jobfile",
     "StackMeasures": ".measures",
     "stack_measures": ".measures",
     "ORDERS": ".orders",

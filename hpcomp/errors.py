@@ -49,7 +49,7 @@ class SettingError(HpcompError, ValueError):
 
 
 class InputError(HpcompError):
-    """A file or stream cannot be read as a layer."""
+    """A file or stream cannot be read as what it is given as."""
 
     exit_code = ExitCode.INPUT
 
@@ -92,3 +92,13 @@ def why(reason: OSError) -> str:
 def unknown_name(kind: str, name: str, valid: Iterable[object]) -> SettingError:
     """The error of every strict lookup: names what was asked for and lists what there is."""
     return SettingError(f"unknown {kind} '{name}': choose one of {', '.join(map(str, valid))}")
+
+
+def unknown_key(kind: str, key: str, valid: Iterable[str]) -> SettingError:
+    """The error of a key that is not known: names the nearest one and lists what there is."""
+    import difflib  # where something went wrong
+
+    names = list(valid)
+    near = difflib.get_close_matches(key, names, 1)
+    hint = f"did you mean '{near[0]}'? Choose" if near else "choose"
+    return SettingError(f"unknown {kind} '{key}': {hint} one of {', '.join(names)}")

@@ -6,12 +6,16 @@ import contextlib
 import os
 import stat
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import BinaryIO
 
 from .errors import OutputError, why
 
 STDOUT = "-"
+
+#: What the names of temporary files begin with, behind the dot of hidden ones; a process that
+#: another one may have to tidy up after has a name of its own here.
+temporary_prefix = "hpcomp."
 
 
 @contextlib.contextmanager
@@ -32,7 +36,7 @@ def whole_output(target: str, *, clobber: bool = True) -> Iterator[str]:
     # The name first and the file inside the `try`: wherever a signal strikes, the file is removed.
     directory = _temporary_directory() if special else os.path.dirname(place)
     hidden = "" if special else "."
-    temporary = os.path.join(directory, f"{hidden}hpcomp.{os.urandom(8).hex()}")
+    temporary = os.path.join(directory, f"{hidden}{temporary_prefix}{os.urandom(8).hex()}")
     try:
         try:
             os.close(os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o600))
@@ -61,6 +65,16 @@ def whole_output(target: str, *, clobber: bool = True) -> Iterator[str]:
     finally:
         with contextlib.suppress(FileNotFoundError):
             os.unlink(temporary)
+
+
+def remove_leftovers(targets: Iterable[str], prefix: str) -> None:
+    """Removes the temporary files beside `targets` that a killed process of that prefix left."""
+    for directory in {os.path.dirname(os.path.realpath(target)) for target in targets}:
+        with contextlib.suppress(OSError):
+            for name in os.listdir(directory):
+                if name.startswith(f".{prefix}"):
+                    with contextlib.suppress(FileNotFoundError):
+                        os.unlink(os.path.join(directory, name))
 
 
 def stdout_bytes() -> BinaryIO:

@@ -160,15 +160,21 @@ def on_terminal(
         env={**os.environ, **desk.env, "TERM": "xterm", **env},
     )
     os.close(theirs)
+    sent = sent_to(ours)
+    error = process.communicate(timeout=PATIENCE_S)[1]
+    return process.returncode, sent.decode().replace("\r\n", "\n"), error.decode()
+
+
+def sent_to(terminal: int) -> bytes:
+    """What a terminal was sent until all its writers closed it; closes it, too."""
     sent = b""
     try:
-        while data := os.read(ours, 1 << 16):
+        while data := os.read(terminal, 1 << 16):
             sent += data
     except OSError:
         pass  # on Linux, the end
-    os.close(ours)
-    error = process.communicate(timeout=PATIENCE_S)[1]
-    return process.returncode, sent.decode().replace("\r\n", "\n"), error.decode()
+    os.close(terminal)
+    return sent
 
 
 def loaded(desk: Desk, *arguments: str) -> set[str]:

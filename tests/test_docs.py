@@ -4,6 +4,7 @@ import ast
 import importlib.metadata
 import importlib.util
 import inspect
+import json
 import os
 import re
 import shutil
@@ -391,6 +392,8 @@ def workplace(tmp_path, monkeypatch):
         "legend.png": layer((0.9, 0.9, 0.9))[:10, :20],
         "a.png": layer((0.8, 0.1, 0.1), rows=above, alpha=0.5),
         "b.exr": layer((0.2, 0.5, 0.2)),
+        **{f"bg.{n:04d}.exr": layer((0.3, 0.3, 0.1 * n)) for n in (1, 2, 3)},
+        **{f"fg.{n:04d}.exr": layer((0.8, 0.1, 0.1), rows=above, alpha=0.3 * n) for n in (1, 2, 3)},
         # What earlier examples make, for later ones.
         "map.png": layer((0.6, 0.2, 0.1)),
         "plain.png": layer((0.6, 0.4, 0.1)),
@@ -409,7 +412,31 @@ def test_every_shell_line_of_readme_is_known():
         assert (ROOT / line.split()[-1]).exists()
 
 
-@pytest.mark.parametrize("line", HPCOMP_LINES)
+#: Lines that make many files, or write jobs: their messages and outputs are not those of others.
+BATCH_LINES = [
+    line for line in HPCOMP_LINES if re.search(r"hpcomp batch|--frames|--save-job", line)
+]
+
+
+def test_the_batches_of_readme_run_in_their_order(workplace):
+    (jobs,) = code_blocks("toml")
+    (workplace / "jobs.toml").write_text(jobs)
+    assert len(BATCH_LINES) >= 8
+    # Those that write jobs first: the reference shows a use of theirs, too.
+    for line in sorted(BATCH_LINES, key=lambda line: "--save-job" not in line):
+        run = subprocess.run(["sh", "-c", line], capture_output=True, text=True)
+        assert (run.returncode, run.stdout) == (0, ""), run.stderr
+        assert ("jobs in" in run.stderr) == ("--save-job" not in line)
+    assert hpcomp.read_jobs("jobs.toml")[0].options["depth"] == 16
+    for name in ("overview.png", "flooded.png", *(f"out.{n:04d}.exr" for n in (1, 2, 3))):
+        assert hpcomp.read_layer(name).pixels.any()
+    (record, _) = map(json.loads, (workplace / "jobs.log").read_text().splitlines())
+    keys = README.partition("`--log` has a line of JSON")[2].partition("What was done")[0]
+    shown = re.findall(r"`(\w+)`", " ".join(re.findall(r"^\| (`.*?) \|", keys, re.MULTILINE)))
+    assert sorted(shown) == sorted(record)
+
+
+@pytest.mark.parametrize("line", [line for line in HPCOMP_LINES if line not in BATCH_LINES])
 def test_the_commands_of_readme_run(workplace, line):
     outputs = re.findall(r"(?:-o|>|--report|--provenance) ([\w.]+)", line)
     for name in outputs:
@@ -534,6 +561,12 @@ STATEMENTS = {
     "write_image": ["`pixels`", "(height, width, 4)", "linear Rec. 709", "premultiplied",
                     "alpha in [0, 1]", "`data_window`", "`display_window`", "Returns:", "Errors:",
                     "Warnings:"],
+    "batch": ["`jobs`", "`workers`", "`threads`", "`max_memory`", "`fail_fast`", "`skip_existing`",
+              "`update`", "`resume`", "`state`", "`log_to`", "`on_record`", "Returns:", "Errors:",
+              "SettingError", "InputError", "OutputError"],
+    "frame_jobs": ["`layers`", "`output`", "`frames`", "%04d", "####", "Errors:", "SettingError"],
+    "read_jobs": ["`path`", "`format`", "working directory", "Errors:", "InputError", "SettingError"],
+    "save_jobs": ["`path`", "Errors:", "SettingError", "OutputError"],
     "info": ["how it will be read", "Errors:", "InputError"],
     "hue_histogram": ["`pixels`", "(…, 4)", "linear Rec. 709", "premultiplied", "float32", "degrees",
                       "6 to 3600", "[0, 1]", "Returns:", "Errors:", "SettingError", "MismatchError"],
@@ -586,6 +619,8 @@ def test_stack_takes_the_options_of_the_command_under_their_names():
     command, _ = TREE["hpcomp stack"]
     options = {p.name: p for p in command.params if isinstance(p, click.Option) and p.expose_value}
     parameters = inspect.signature(hpcomp.stack).parameters
+    for name in ("frames", "workers", "save_job"):  # what makes several stacks, or none
+        del options[name]
     # The command line is what only the command knows.
     assert set(options) == set(parameters) - {"layers", "command"}
     for name, shown in options.items():

@@ -15,6 +15,7 @@ from .messages import keep_libraries_off_stderr, open_standard_streams, say
 #: The subcommands: the module of each, which is imported when it is called, and its one-line help.
 COMMANDS: dict[str, tuple[str, str]] = {
     "stack": ("stack", "Composite layers, bottom first, into one picture."),
+    "batch": ("batch", "Make many stacks, several at a time."),
     "explain": ("explain", "Say step by step how one pixel of a stack comes about."),
     "check": ("check", "Fail if a picture has lost the hues of its layers."),
     "info": ("info", "Say what image files hold and how they will be read."),

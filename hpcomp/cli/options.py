@@ -14,6 +14,9 @@ from ..errors import HpcompWarning, OutputError, SettingError, why
 from ..outputfile import stdout_bytes
 from .messages import say
 
+#: Where a context keeps the answer of `is_quiet`.
+_QUIET = "hpcomp.quiet"
+
 F = TypeVar("F", bound=Callable[..., Any])
 
 
@@ -64,12 +67,18 @@ def _show_messages(ctx: click.Context, param: click.Parameter, value: bool) -> b
         logging.getLogger("hpcomp").addHandler(handler)
         logging.getLogger("hpcomp").setLevel(logging.INFO)
     if param.name == "quiet":
+        ctx.meta[_QUIET] = value
         # What libraries warn of is for developers; `--debug` leaves it as it is.
         if "--debug" not in sys.argv:
             warnings.simplefilter("ignore")
         warnings.simplefilter("ignore" if value else "always", HpcompWarning)
         warnings.showwarning = _show_warning
     return value
+
+
+def is_quiet(ctx: click.Context) -> bool:
+    """Whether errors only are to be printed."""
+    return bool(ctx.meta.get(_QUIET))
 
 
 def _show_warning(message: Any, category: type[Warning], *where: Any, **more: Any) -> None:
@@ -93,6 +102,13 @@ def print_bytes(data: bytes) -> None:
         raise
     except OSError as reason:
         raise OutputError(f"stdout: cannot be written: {why(reason)}") from None
+
+
+def at_a_time(help: str) -> Callable[[F], F]:
+    """`-j`, how many stacks are made at a time."""
+    return click.option(
+        "-j", "--jobs", "workers", type=click.IntRange(min=1), metavar="N", help=help
+    )
 
 
 def message_options(function: F) -> F:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shlex
 import sys
 from typing import Any
@@ -11,9 +12,12 @@ import click
 from ..encoding import OUT_PRIMARIES
 from ..porter_duff import OPERATORS
 from ..stackfile import LAYER_KEYS
-from .options import LayerCommand, message_options
+from .options import LayerCommand, at_a_time, message_options
 from .signals import load
 from .stackoptions import stack_options
+
+#: What may be a pattern of frames.
+_PATTERN_SIGN = re.compile("%|##")
 
 LAYER_HELP = f"""Composite layers, bottom first, into one picture.
 
@@ -36,6 +40,7 @@ argument is an existing file; a value holds no comma. Keys: {", ".join(LAYER_KEY
   hpcomp stack base.png 'mask.png::op=dst-in,alpha=luminance' -o cut.exr
   hpcomp stack base.png 'mask.png::tint=#377eb8,opacity=0.6' -o map.png
   hpcomp stack base.png roads.png -o map.png --report map.html --provenance origin.exr
+  hpcomp stack bg.%04d.exr 'fg.####.exr::opacity=0.5' -o out.%04d.exr --frames 1-3
   cat a.png | hpcomp stack b.exr - -o - --format png > c.png
 """
 
@@ -134,8 +139,48 @@ argument is an existing file; a value holds no comma. Keys: {", ".join(LAYER_KEY
     help="Reports: shares of red, green and blue in the power of a display; 0.3,0.25,0.45, an "
     "estimate, if not given.",
 )
+@click.option(
+    "--frames",
+    metavar="RANGE",
+    help="Make a sequence, each frame a file: 1-240, 1-240x2, or several between commas. The "
+    "number stands where paths have %04d or ####; a layer without is the same in every frame.",
+)
+@at_a_time("Frames at a time: one for each core if not given.")
+@click.option(
+    "--save-job",
+    metavar="PATH",
+    type=click.Path(readable=False),
+    help="Make nothing, but write the stack as a job of hpcomp batch, or each frame as one: to a "
+    "path ending in .json, or as more lines of a .jsonl.",
+)
 @message_options
-def command(layers: tuple[str, ...], output: str, **options: Any) -> None:
+@click.pass_context
+def command(
+    ctx: click.Context,
+    /,
+    layers: tuple[str, ...],
+    output: str,
+    frames: str | None,
+    workers: int | None,
+    save_job: str | None,
+    **options: Any,
+) -> None:
+    if frames is None and workers is not None:
+        raise click.UsageError("-j is for frames, which --frames names", ctx)
+    if frames is not None:
+        shared = {name: options.pop(name) for name in ("threads", "max_memory")}
+        jobs = load("hpcomp.frames").frame_jobs(layers, output, frames, **options)
+        if save_job is None:
+            load("hpcomp.cli.batch").run(ctx, jobs, workers=workers, **shared)
+            return
+    if save_job is not None:
+        jobfile = load("hpcomp.jobfile")
+        if frames is None:
+            jobs = [jobfile.job_of_stack(layers, output, options)]
+        jobfile.save_jobs(jobs, save_job)
+        return
+    if any(_PATTERN_SIGN.search(path) for path in (*layers, output)):
+        load("hpcomp.frames").check_no_frames(layers, output)
     pipeline = load("hpcomp.pipeline")
     if options["report"]:
         options["command"] = shlex.join(["hpcomp", *sys.argv[1:]])

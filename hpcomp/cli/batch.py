@@ -1,0 +1,130 @@
+"""`hpcomp batch`: parses, calls `batching.batch`, tells how it goes."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+from typing import Any
+
+import click
+
+from ..errors import ExitCode, HpcompError
+from .messages import say
+from .options import Command, at_a_time, is_quiet, message_options
+from .progress import Progress
+from .signals import load
+
+HELP = """Make many stacks, several at a time.
+
+JOBS is a file in TOML, JSON, JSON Lines or CSV, or `-` for stdin with --format. A job is a table
+of layers, bottom first, the output, and the options of stack under their names, with _ for -.
+A layer is a LAYER text or a table of its path and keys. Paths are relative to the working
+directory. The option --save-job of stack writes such files.
+
+In TOML and JSON jobs are the list `jobs`; `defaults` has options for all of them, and `version` is
+1. In JSON Lines each line is a job, and a first one without layers may have version and defaults.
+In CSV each row is a job, with the columns output, layer (as many as needed) and options.
+
+A job that needs what another one makes waits for it. A failure does not stop the others. The exit
+code is that of the worst failure: 1 is worse than 5, then 3, 4 and 2. What was done is kept in a
+hidden file beside JOBS, for --update and --resume.
+
+\b
+  hpcomp batch jobs.toml
+  hpcomp batch jobs.toml --update --log jobs.log
+  hpcomp batch - --format jsonl -j 2 < jobs.jsonl
+"""
+
+
+@click.command("batch", cls=Command, help=HELP, short_help=HELP.partition("\n")[0])
+@click.argument("jobs", metavar="JOBS", type=click.Path(readable=False))
+@click.option(
+    "--format",
+    type=click.Choice(["toml", "json", "jsonl", "csv"]),
+    help="Format of JOBS, whatever its ending.",
+)
+@at_a_time(
+    "Jobs at a time: one for each core if not given, but so that each has 128M of the memory."
+)
+@click.option(
+    "--threads",
+    type=click.IntRange(min=1),
+    metavar="N",
+    help="Threads of all jobs together: all cores if not given.",
+)
+@click.option(
+    "--max-memory",
+    default="1G",
+    show_default=True,
+    metavar="SIZE",
+    help="Memory for pixels and codecs of all jobs together, such as 512M.",
+)
+@click.option("--fail-fast", is_flag=True, help="Begin no more jobs after one that failed.")
+@click.option("--skip-existing", is_flag=True, help="Leave out jobs whose outputs all exist.")
+@click.option(
+    "--update",
+    is_flag=True,
+    help="Leave out jobs whose options, inputs (by content) and outputs are as they were.",
+)
+@click.option(
+    "--resume", is_flag=True, help="Carry on an interrupted run: leave out what it has done."
+)
+@click.option(
+    "--state",
+    metavar="PATH",
+    type=click.Path(readable=False),
+    help="Keep here what was done, instead of beside JOBS.",
+)
+@click.option(
+    "--log",
+    "log_to",
+    metavar="PATH",
+    type=click.Path(readable=False),
+    help="Write a line of JSON for each job; - for stdout. With --resume they are added.",
+)
+@message_options
+@click.pass_context
+def command(ctx: click.Context, /, jobs: str, format: str | None, **options: Any) -> None:
+    state = options.pop("state")
+    todo = load("hpcomp.jobfile").read_jobs(jobs, format=format)
+    if state is None and jobs != "-":
+        state = load("hpcomp.jobstate").state_beside(jobs, options["update"] or options["resume"])
+    run(ctx, todo, state=state, **options)
+
+
+def run(ctx: click.Context, jobs: Any, **options: Any) -> None:
+    """Runs jobs and tells how it goes; the exit code is that of the worst failure."""
+    batching = load("hpcomp.batching")
+    quiet = is_quiet(ctx)
+    progress = Progress(len(jobs), quiet)
+
+    def ended(record: Any, job: Any) -> None:
+        name = f"{job.where} ({job.output})"
+        if not quiet:
+            for warning in record.warnings:
+                progress.message(f"hpcomp: warning: {name}: {warning}")
+        if record.error:
+            progress.message(f"hpcomp: error: {name}: {record.error}")
+        worked = record.status in ("made", "failed")
+        text = f"{job.output} in {record.seconds:.2f} s"
+        progress.count(worked, record.status == "failed", text)
+
+    try:
+        result = batching.batch(
+            jobs,
+            command=shlex.join(["hpcomp", *sys.argv[1:]]),
+            on_record=ended,
+            on_wait=progress.draw,
+            **options,
+        )
+    except BaseException as end:
+        progress.clear()
+        if not (quiet or isinstance(end, HpcompError)):
+            say(f"hpcomp: {progress.ended} of {progress.total} jobs have ended")
+        raise
+    progress.clear()
+    if not quiet:
+        counts = ", ".join(f"{count} {status}" for status, count in result.counts.items())
+        say(f"hpcomp: {len(jobs)} jobs in {result.seconds:.1f} s: {counts}")
+    if result.exit_code != ExitCode.DONE:
+        ctx.exit(int(result.exit_code))

@@ -1,0 +1,70 @@
+"""How far a batch is, on stderr: a bar where that is a terminal, else a line for each job."""
+
+from __future__ import annotations
+
+import contextlib
+import shutil
+import sys
+import time
+
+from ..errors import one_line
+from .messages import say
+
+#: Between two drawings of the bar: no oftener than an eye can follow.
+_REDRAW_S = 0.1
+_BAR_COLUMNS = 30
+
+
+class Progress:
+    """Counts `total` jobs as they end."""
+
+    def __init__(self, total: int, quiet: bool) -> None:
+        self.total, self.quiet = total, quiet
+        self.ended = self.worked = self.failed = 0
+        self._bar = not quiet and sys.stderr is not None and sys.stderr.isatty()
+        self._begin = time.monotonic()
+        self._drawn = 0.0
+
+    def count(self, worked: bool, failed: bool, text: str) -> None:
+        """One more has ended; `text` is its line where there is no bar."""
+        self.ended += 1
+        self.worked += worked
+        self.failed += failed
+        if self._bar:
+            self.draw()
+        elif worked and not failed and not self.quiet:
+            say(f"hpcomp: {self.ended}/{self.total} {text}")
+
+    def message(self, text: str) -> None:
+        """A line of its own, above the bar."""
+        self.clear()
+        say(text)
+
+    def draw(self) -> None:
+        """Draws the bar, unless that was just done."""
+        now = time.monotonic()
+        if self._bar and now - self._drawn >= _REDRAW_S:
+            self._drawn = now
+            self._write("\r\x1b[K" + self._line(now - self._begin))
+
+    def clear(self) -> None:
+        """Takes the bar away, for what comes next."""
+        if self._bar and self._drawn:
+            self._drawn = 0.0
+            self._write("\r\x1b[K")
+
+    def _line(self, elapsed: float) -> str:
+        filled = _BAR_COLUMNS * self.ended // max(1, self.total)
+        words = [f"[{'#' * filled}{'-' * (_BAR_COLUMNS - filled)}] {self.ended}/{self.total}"]
+        if self.worked:
+            rate = self.worked / max(elapsed, 1e-6)
+            left = round((self.total - self.ended) / rate)
+            words += [f"{rate:.3g}/s", f"{left // 60}:{left % 60:02} left"]
+        if self.failed:
+            words.append(f"{self.failed} failed")
+        return one_line(" ".join(words))[: shutil.get_terminal_size((80, 24)).columns - 1]
+
+    def _write(self, text: str) -> None:
+        with contextlib.suppress(OSError, ValueError):
+            sys.stderr.write(text)
+            sys.stderr.flush()

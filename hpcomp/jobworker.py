@@ -1,0 +1,114 @@
+"""One job in one process: what a batch runs several of, and how it is told what to do.
+
+Jobs come and what became of them goes as lines of JSON through pipes, until there are no more.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import sys
+import time
+import warnings
+from types import FrameType
+from typing import Any
+
+from . import outputfile
+from .errors import ExitCode, HpcompError, HpcompWarning, one_line
+from .jobfile import Job, jobs_of
+from .jobstate import input_signature, is_current, job_key, output_signature
+from .pipeline import stack
+
+
+def do_job(task: dict[str, Any]) -> dict[str, Any]:
+    """Does one job; what became of it.
+
+    `task`: `job` as a document; `granted`, options of `stack` that hold unless the job has its own;
+    `entry`, what is known of an earlier run if the job may be up to date; `by_content`, whether
+    files are to be known by their content from now on.
+    """
+    begin = time.perf_counter()
+    _forget_peak()
+    result: dict[str, Any] = {"status": "made", "error": None, "exit_code": int(ExitCode.DONE)}
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("ignore")
+        warnings.simplefilter("always", HpcompWarning)
+        try:
+            (job,) = jobs_of([task["job"]])
+            if is_current(task["entry"], job):
+                result["status"] = "current"
+                result["entry"] = task["entry"]
+            else:
+                result["entry"] = _made(job, task["granted"], task["by_content"])
+        except HpcompError as error:
+            result |= _failure(str(error), error.exit_code)
+        except Exception as error:
+            result |= _failure(f"bug: {type(error).__name__}: {error}", ExitCode.BUG)
+    return {
+        **result,
+        "seconds": round(time.perf_counter() - begin, 6),
+        "peak_memory": _peak(),
+        "warnings": [one_line(str(w.message)) for w in caught],
+    }
+
+
+def _made(job: Job, granted: dict[str, Any], by_content: bool) -> dict[str, Any]:
+    """Makes the stack; what is to be known of it afterwards."""
+    inputs = {path: input_signature(path, by_content) for path in job.inputs}
+    stack(job.layers, job.output, **{**granted, **job.options})
+    outputs = {path: output_signature(path) for path in job.outputs}
+    return {"key": job_key(job), "inputs": inputs, "outputs": outputs}
+
+
+def _failure(message: str, code: ExitCode) -> dict[str, Any]:
+    return {"status": "failed", "error": one_line(message), "exit_code": int(code)}
+
+
+def _forget_peak() -> None:
+    """Makes the peak of memory that of now, where Linux lets us."""
+    try:
+        with open("/proc/self/clear_refs", "w") as file:
+            file.write("5")
+    except OSError:
+        pass  # it is that of all jobs so far
+
+
+def _peak() -> int:
+    """The most memory of this process, in bytes."""
+    try:
+        with open("/proc/self/status") as file:
+            for line in file:
+                if line.startswith("VmHWM:"):
+                    return int(line.split()[1]) << 10
+    except OSError:
+        pass
+    import resource
+
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak if sys.platform == "darwin" else peak << 10
+
+
+def _end(signal_number: int, frame: FrameType | None) -> None:
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)  # a second one must not stop the tidying up
+    raise SystemExit(int(ExitCode.TERMINATED))
+
+
+def main(temporary_prefix: str) -> None:
+    """Does the jobs that come through stdin, until it ends."""
+    outputfile.temporary_prefix = temporary_prefix
+    signal.signal(signal.SIGTERM, _end)
+    tasks, results = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
+    # What libraries print is for nobody, and must not get between the results.
+    silence = os.open(os.devnull, os.O_RDWR)
+    for descriptor in range(3):
+        os.dup2(silence, descriptor)
+    try:
+        for line in tasks:
+            results.write(json.dumps(do_job(json.loads(line))).encode() + b"\n")
+            results.flush()
+    except BrokenPipeError:
+        pass  # the batch was killed: the job is done all the same
+    except SystemExit as end:
+        os._exit(int(str(end.code)))
+    os._exit(0)
