@@ -33,9 +33,6 @@ __version__ = "0.1.0"
 if TYPE_CHECKING:
     from .arrays import composite as composite
     from .arrays import hue_add as hue_add
-    from .batching import BatchResult as BatchResult
-    from .batching import JobRecord as JobRecord
-    from .batching import batch as batch
     from .checking import CheckResult as CheckResult
     from .checking import check as check
     from .encoding import Losses as Losses
@@ -49,16 +46,19 @@ if TYPE_CHECKING:
     from .errors import SettingError as SettingError
     from .explanation import PixelExplanation as PixelExplanation
     from .explanation import explain as explain
-    from .frames import frame_jobs as frame_jobs
     from .geometry import Window as Window
     from .histogram import HueHistogram as HueHistogram
     from .histogram import hue_histogram as hue_histogram
     from .imagefile import ImageFile as ImageFile
     from .imagefile import LayerImage as LayerImage
     from .imagehues import read_hues as read_hues
-    from .jobfile import Job as Job
-    from .jobfile import read_jobs as read_jobs
-    from .jobfile import save_jobs as save_jobs
+    from .jobs.batch import BatchResult as BatchResult
+    from .jobs.batch import JobRecord as JobRecord
+    from .jobs.batch import batch as batch
+    from .jobs.frames import frame_jobs as frame_jobs
+    from .jobs.jobfile import read_jobs as read_jobs
+    from .jobs.jobfile import save_jobs as save_jobs
+    from .jobs.schema import Job as Job
     from .measures import StackMeasures as StackMeasures
     from .measures import stack_measures as stack_measures
     from .orders import ORDERS as ORDERS
@@ -77,9 +77,9 @@ if TYPE_CHECKING:
 
 # Where each name lives; the imports above say the same to type checkers.
 _HOME = {
-    "BatchResult": ".batching",
-    "JobRecord": ".batching",
-    "batch": ".batching",
+    "BatchResult": ".jobs.batch",
+    "JobRecord": ".jobs.batch",
+    "batch": ".jobs.batch",
     "CheckResult": ".checking",
     "check": ".checking",
     "composite": ".arrays",
@@ -95,16 +95,16 @@ _HOME = {
     "SettingError": ".errors",
     "PixelExplanation": ".explanation",
     "explain": ".explanation",
-    "frame_jobs": ".frames",
+    "frame_jobs": ".jobs.frames",
     "Window": ".geometry",
     "HueHistogram": ".histogram",
     "hue_histogram": ".histogram",
     "ImageFile": ".imagefile",
     "LayerImage": ".imagefile",
     "read_hues": ".imagehues",
-    "Job": ".jobfile",
-    "read_jobs": ".jobfile",
-    "save_jobs": ".jobfile",
+    "Job": ".jobs.schema",
+    "read_jobs": ".jobs.jobfile",
+    "save_jobs": ".jobs.jobfile",
     "StackMeasures": ".measures",
     "stack_measures": ".measures",
     "ORDERS": ".orders",

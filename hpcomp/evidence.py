@@ -32,7 +32,7 @@ from .measures import (
     half_step,
     measure_settings,
 )
-from .outputfile import STDOUT, whole_output
+from .outputfile import whole_output
 from .report.formats import report_format
 from .report.stackreport import (
     Preview,
@@ -72,7 +72,6 @@ class Inquiry:
         report: Sequence[str | os.PathLike[str]],
         provenance: str | os.PathLike[str] | None,
         *,
-        beside: str,
         rules: StackRules,
         kind: str,
         foreign_tolerance: float | None,
@@ -80,7 +79,7 @@ class Inquiry:
         energy_weights: str | Sequence[float] | None,
         bins: int | None,
     ) -> Inquiry:
-        """`beside`: the path of the picture, `kind`: of its samples.
+        """`kind`: of the samples of the picture.
 
         Errors: `SettingError`; `OutputError` where a library is missing.
         """
@@ -93,8 +92,6 @@ class Inquiry:
         planes = None if provenance is None else os.fspath(provenance)
         if planes is not None and os.path.splitext(planes)[1].lower() != ".exr":
             raise SettingError(f"provenance {planes} is an EXR: end it in .exr")
-        places = [beside, *(path for path, _ in reports)]
-        _check_places(places if planes is None else [*places, planes])
         settings = measure_settings(
             rules,
             half_step=half_step(kind),
@@ -113,13 +110,17 @@ class Inquiry:
         """Bytes for each pixel of a strip, and for the whole."""
         return Evidence.memory(layers, self.bins, window, self.with_preview)
 
-    def opened(self, opened: contextlib.ExitStack, clobber: bool) -> Inquiry:
+    @property
+    def outputs(self) -> list[str]:
+        """The files that it writes."""
+        reports = [path for path, _ in self.reports]
+        return reports if self.provenance is None else [*reports, self.provenance]
+
+    def opened(self, opened: contextlib.ExitStack, clobber: bool, if_changed: bool) -> Inquiry:
         """The same with a place for each file, which appears when `opened` closes in peace."""
-        paths = [path for path, _ in self.reports]
-        if self.provenance is not None:
-            paths.append(self.provenance)
         targets = {
-            path: opened.enter_context(whole_output(path, clobber=clobber)) for path in paths
+            path: opened.enter_context(whole_output(path, clobber=clobber, if_changed=if_changed))
+            for path in self.outputs
         }
         return replace(self, targets=targets)
 
@@ -174,17 +175,6 @@ class Inquiry:
                     file.write(content)
             except OSError as reason:
                 raise OutputError(f"{path}: cannot be written: {why(reason)}") from None
-
-
-def _check_places(paths: Sequence[str]) -> None:
-    """Refuses outputs of which one would replace another. Errors: `SettingError`."""
-    taken = set()
-    for path in paths:
-        place = path if path == STDOUT else os.path.realpath(path)
-        if place in taken:
-            shown = "stdout" if path == STDOUT else path
-            raise SettingError(f"{shown} is named for two outputs: give each its own")
-        taken.add(place)
 
 
 def _weights(given: str | Sequence[float] | None) -> tuple[float, float, float]:

@@ -9,7 +9,7 @@ import sys
 from collections.abc import Iterable, Iterator
 from typing import BinaryIO
 
-from .errors import OutputError, why
+from .errors import OutputError, SettingError, why
 
 STDOUT = "-"
 
@@ -19,10 +19,11 @@ temporary_prefix = "hpcomp."
 
 
 @contextlib.contextmanager
-def whole_output(target: str, *, clobber: bool = True) -> Iterator[str]:
+def whole_output(target: str, *, clobber: bool = True, if_changed: bool = False) -> Iterator[str]:
     """Gives a temporary path to write to, and puts what was written at `target` on success.
 
     `target`: a path; `-` for stdout; links are followed; devices and pipes are written through.
+    `if_changed`: a file that has these bytes already is left as it is, with its time.
     On any exception the temporary file is removed and `target` stays as it was.
     Errors: `OutputError` where the directory is missing or not writable, where `target` is a
     directory, or where it exists and `clobber` is off.
@@ -56,6 +57,8 @@ def whole_output(target: str, *, clobber: bool = True) -> Iterator[str]:
             else:
                 if not clobber and os.path.lexists(place):
                     raise _exists(target)
+                if if_changed and _same_bytes(temporary, place):
+                    return
                 os.chmod(temporary, _mode(place))
                 os.replace(temporary, place)
         except BrokenPipeError:
@@ -65,6 +68,17 @@ def whole_output(target: str, *, clobber: bool = True) -> Iterator[str]:
     finally:
         with contextlib.suppress(FileNotFoundError):
             os.unlink(temporary)
+
+
+def check_places(paths: Iterable[str]) -> None:
+    """Refuses outputs of which one would replace another. Errors: `SettingError`."""
+    taken = set()
+    for path in paths:
+        place = path if path == STDOUT else os.path.realpath(path)
+        if place in taken:
+            shown = "stdout" if path == STDOUT else path
+            raise SettingError(f"{shown} is named for two outputs: give each its own")
+        taken.add(place)
 
 
 def remove_leftovers(targets: Iterable[str], prefix: str) -> None:
@@ -97,6 +111,20 @@ def _copy(path: str, stream: BinaryIO) -> None:
         while data := written.read(1 << 20):
             stream.write(data)
     stream.flush()
+
+
+def _same_bytes(written: str, place: str) -> bool:
+    """Whether there is a file at `place` that holds what was written."""
+    try:
+        if os.path.getsize(place) != os.path.getsize(written):
+            return False
+        with open(written, "rb") as ours, open(place, "rb") as theirs:
+            while (block := ours.read(1 << 20)) == theirs.read(1 << 20):
+                if not block:
+                    return True
+    except OSError:
+        pass  # it is replaced
+    return False
 
 
 def _is_special(target: str, clobber: bool) -> bool:

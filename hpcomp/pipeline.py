@@ -18,6 +18,7 @@ from .addition import DEFAULT_HUE_TOLERANCE
 from .budget import DEFAULT_MAX_MEMORY, LAYERS_AT_ONCE, Budget, parse_bytes
 from .canvas import output_window
 from .compositing import Reduction, StackRules
+from .depfile import Depfile
 from .encoding import REC709, Losses, working_primaries
 from .errors import MismatchError, SettingError
 from .geometry import Window, parse_window
@@ -36,7 +37,7 @@ from .imagefile import (
 )
 from .layerfile import opened_layer
 from .notices import Notices, warn_of_losses, warn_of_problems, warn_of_zeroed
-from .outputfile import whole_output
+from .outputfile import check_places, whole_output
 from .placedstack import Layer, PlacedLayer, layer_specs, opened_stack, rules_of
 from .samples import Samples, Strip, encode
 from .stackfile import layer_spec
@@ -93,6 +94,9 @@ def stack(
     achromatic: float | None = None,
     energy_weights: str | Sequence[float] | None = None,
     bins: int | None = None,
+    depfile: str | os.PathLike[str] | None = None,
+    depfile_target: str | Sequence[str] = (),
+    write_if_changed: bool = False,
     command: str = "",
 ) -> StackResult:
     """Composites layer files, bottom first, into one file.
@@ -109,6 +113,9 @@ def stack(
     `bins` decide what it counts (0.02, an estimate and 360 if None); `command` is what it says made
     it.
     `provenance`: a path ending in .exr, for the layer whose hue survived in each pixel.
+    `depfile`: a path for a rule of make that says what was read; `depfile_target`: of what, the
+    output if empty. `write_if_changed`: outputs that have the new bytes already are left as they
+    are. SOURCE_DATE_EPOCH in the environment is the only date that is written.
     Returns: what was written, and the findings of a report. Nothing but complete files appear.
     Errors: `SettingError`, `InputError`, `MismatchError`, `OutputError`.
     Warnings: `HpcompWarning`; errors with `strict`.
@@ -150,7 +157,6 @@ def stack(
         inquiry = Inquiry.checked(
             reports,
             provenance,
-            beside=output,
             rules=rules,
             kind=form.kind,
             foreign_tolerance=foreign_tolerance,
@@ -158,15 +164,21 @@ def stack(
             energy_weights=energy_weights,
             bins=bins,
         )
+    deps = Depfile.asked(depfile, depfile_target, [output])
+    check_places([output, *(inquiry.outputs if inquiry else ()), *([deps.path] if deps else ())])
     n_threads = thread_count(threads)
     budget = parse_bytes(max_memory)
 
     notices = Notices(strict)
     shown = "stdout" if output == STDIN else output
     with contextlib.ExitStack() as opened:
-        target = opened.enter_context(whole_output(output, clobber=clobber))
+        target = opened.enter_context(
+            whole_output(output, clobber=clobber, if_changed=write_if_changed)
+        )
         if inquiry is not None:
-            inquiry = inquiry.opened(opened, clobber)
+            inquiry = inquiry.opened(opened, clobber, write_if_changed)
+        if deps is not None:
+            opened.enter_context(deps.written([spec.path for spec in specs], write_if_changed))
         stacked = opened.enter_context(
             opened_stack(
                 specs,

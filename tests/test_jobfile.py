@@ -10,8 +10,8 @@ import pytest
 from command import Desk
 
 import hpcomp
-from hpcomp import jobfile
 from hpcomp.errors import InputError, SettingError
+from hpcomp.jobs import schema
 from hpcomp.stackfile import LayerSpec
 
 
@@ -101,7 +101,7 @@ def test_options_of_a_job_are_those_of_stack_and_a_layer_has_all_its_settings():
         "order": [1, 0], "background": [0.5, 0, 1], "depth": 16, "max_memory": 1 << 29,
         "report": ["a.html", "b.json"], "clobber": False, "exposure": -1, "bins": 72,
     }  # fmt: skip
-    (job,) = jobfile.jobs_of([{"layers": ["b.png", every], "output": "o.png", **options}])
+    (job,) = schema.jobs_of([{"layers": ["b.png", every], "output": "o.png", **options}])
     assert job.layers[1] == LayerSpec(**{**every, "part": "2"})
     assert dict(job.options) == options
     assert job.inputs == ["b.png", "a.exr"]
@@ -187,7 +187,7 @@ def test_what_cannot_be_read(tmp_path, monkeypatch, name, data, says):
 
 def test_jobs_of_python_name_the_job():
     with pytest.raises(SettingError, match="job 2: it has no output"):
-        jobfile.jobs_of([JOBS[0], {"layers": ["a"]}])
+        schema.jobs_of([JOBS[0], {"layers": ["a"]}])
 
 
 # ---- writing -------------------------------------------------------------------------------------
@@ -225,7 +225,7 @@ def test_json_lines_grow_and_json_is_replaced(desk):
             desk.makes("stack", "base.png", "-o", output, "--save-job", name)
     assert [job.output for job in hpcomp.read_jobs(desk / "jobs.jsonl")] == ["a.png", "b.png"]
     assert [job.output for job in hpcomp.read_jobs(desk / "jobs.json")] == ["b.png"]
-    assert json.loads((desk / "jobs.json").read_text())["version"] == jobfile.SCHEMA_VERSION
+    assert json.loads((desk / "jobs.json").read_text())["version"] == schema.SCHEMA_VERSION
 
 
 def test_what_no_job_can_say_is_refused(desk):
@@ -237,7 +237,7 @@ def test_what_no_job_can_say_is_refused(desk):
 
 
 def test_saving_reads_what_was_saved(tmp_path):
-    jobs = jobfile.jobs_of(JOBS)
+    jobs = schema.jobs_of(JOBS)
     for name in ("a.json", "a.jsonl"):
         hpcomp.save_jobs(jobs, tmp_path / name)
         assert [document(j) for j in hpcomp.read_jobs(tmp_path / name)] == [*map(document, jobs)]

@@ -10,7 +10,7 @@ import click
 
 from ..errors import ExitCode, HpcompError
 from .messages import say
-from .options import Command, at_a_time, is_quiet, message_options
+from .options import Command, at_a_time, is_quiet, make_options, message_options
 from .progress import Progress
 from .signals import load
 
@@ -43,14 +43,12 @@ hidden file beside JOBS, for --update and --resume.
     type=click.Choice(["toml", "json", "jsonl", "csv"]),
     help="Format of JOBS, whatever its ending.",
 )
-@at_a_time(
-    "Jobs at a time: one for each core if not given, but so that each has 128M of the memory."
-)
+@at_a_time("Jobs at a time, each on a core: all cores if not given, but so that each job has 128M.")
 @click.option(
     "--threads",
     type=click.IntRange(min=1),
     metavar="N",
-    help="Threads of all jobs together: all cores if not given.",
+    help="Threads of all jobs together: as many as cores are used if not given.",
 )
 @click.option(
     "--max-memory",
@@ -82,21 +80,25 @@ hidden file beside JOBS, for --update and --resume.
     type=click.Path(readable=False),
     help="Write a line of JSON for each job; - for stdout. With --resume they are added.",
 )
+@click.option(
+    "--dask",
+    metavar="ADDRESS",
+    help="Let the workers of a Dask cluster do the jobs, on the same paths: a scheduler's address "
+    "or scheduler file, or local:N to start one here. -j is then how many jobs it has at a time, "
+    "and --threads (1 if not given) and --max-memory are of each job.",
+)
+@make_options
 @message_options
 @click.pass_context
-def command(ctx: click.Context, /, jobs: str, format: str | None, **options: Any) -> None:
-    state = options.pop("state")
-    todo = load("hpcomp.jobfile").read_jobs(jobs, format=format)
-    if state is None and jobs != "-":
-        state = load("hpcomp.jobstate").state_beside(jobs, options["update"] or options["resume"])
-    run(ctx, todo, state=state, **options)
+def command(ctx: click.Context, /, jobs: str, **options: Any) -> None:
+    run(ctx, jobs, **options)
 
 
 def run(ctx: click.Context, jobs: Any, **options: Any) -> None:
     """Runs jobs and tells how it goes; the exit code is that of the worst failure."""
-    batching = load("hpcomp.batching")
+    batching = load("hpcomp.jobs.batch")
     quiet = is_quiet(ctx)
-    progress = Progress(len(jobs), quiet)
+    progress = Progress(quiet)
 
     def ended(record: Any, job: Any) -> None:
         name = f"{job.where} ({job.output})"
@@ -113,18 +115,19 @@ def run(ctx: click.Context, jobs: Any, **options: Any) -> None:
         result = batching.batch(
             jobs,
             command=shlex.join(["hpcomp", *sys.argv[1:]]),
+            on_begin=lambda todo: progress.begin(len(todo)),
             on_record=ended,
             on_wait=progress.draw,
             **options,
         )
     except BaseException as end:
         progress.clear()
-        if not (quiet or isinstance(end, HpcompError)):
+        if progress.total and not (quiet or isinstance(end, HpcompError)):
             say(f"hpcomp: {progress.ended} of {progress.total} jobs have ended")
         raise
     progress.clear()
     if not quiet:
         counts = ", ".join(f"{count} {status}" for status, count in result.counts.items())
-        say(f"hpcomp: {len(jobs)} jobs in {result.seconds:.1f} s: {counts}")
+        say(f"hpcomp: {progress.total} jobs in {result.seconds:.1f} s: {counts}")
     if result.exit_code != ExitCode.DONE:
         ctx.exit(int(result.exit_code))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Sequence
 from typing import Any
 
@@ -10,14 +9,15 @@ import click
 
 from ..errors import HpcompError, InputError, MismatchError
 from ..histogram import DEFAULT_ACHROMATIC, DEFAULT_BINS, FEWEST_BINS, MOST_BINS, WEIGHTS
-from ..outputfile import STDOUT, whole_output
+from ..outputfile import STDOUT
 from ..report.formats import REPORT_FORMATS, put, report_format
 from ..report.look import AXES, SCALES, Entry, Look
 from ..spaces import SPACES
+from ..stackfile import LayerSpec
 from . import terminal
 from .messages import say
-from .options import LayerCommand, message_options, print_bytes
-from .reportoptions import clobber_option, report_options
+from .options import LayerCommand, make_options, message_options, print_bytes
+from .reportoptions import WRITING, clobber_option, opened_report, report_options
 from .signals import load
 
 _FORMATS = "\n".join(f"  {row.name:<6} {row.title}" for row in REPORT_FORMATS.values())
@@ -113,6 +113,7 @@ only written if it has all. Figures need matplotlib, which the extra `plot` brin
     metavar="N",
     help="Threads to use: all cores if not given.",
 )
+@make_options
 @message_options
 @click.pass_context
 def command(
@@ -124,8 +125,7 @@ def command(
     weight: str,
     scale: str,
     axes: str,
-    clobber: bool,
-    **measuring: Any,
+    **settings: Any,
 ) -> None:
     target = STDOUT if output is None else output
     chosen = report_format(target, format)
@@ -134,12 +134,11 @@ def command(
     if target == STDOUT:
         look = terminal.look(look)
     render = chosen.load()
-    with contextlib.ExitStack() as opened:
-        # First of all, so that nothing is measured for a report that cannot be written.
-        place = ""
-        if target != STDOUT:
-            place = opened.enter_context(whole_output(target, clobber=clobber))
-        entries, failures = _measured(images, target, measuring)
+    specs = load("hpcomp.imagehues").images_to_measure(images, target)
+    writing = {name: settings.pop(name) for name in WRITING}
+    # First of all, so that nothing is measured for a report that cannot be written.
+    with opened_report(target, [spec.path for spec in specs], **writing) as place:
+        entries, failures = _measured(specs, settings)
         if target == STDOUT and entries:
             print_bytes(render(entries, look))
         for failure in failures:
@@ -151,11 +150,10 @@ def command(
 
 
 def _measured(
-    images: Sequence[str], output: str, settings: dict[str, Any]
+    specs: Sequence[LayerSpec], settings: dict[str, Any]
 ) -> tuple[list[Entry], list[HpcompError]]:
     """The histograms of the images that can be measured, and what is wrong with the others."""
     measuring = load("hpcomp.imagehues")
-    specs = measuring.images_to_measure(images, output)
     entries: list[Entry] = []
     failures: list[HpcompError] = []
     for spec in specs:

@@ -104,6 +104,31 @@ def print_bytes(data: bytes) -> None:
         raise OutputError(f"stdout: cannot be written: {why(reason)}") from None
 
 
+def make_options(function: F) -> F:
+    """What makefiles ask of every command that writes files."""
+    for option in (
+        click.option(
+            "--write-if-changed",
+            is_flag=True,
+            help="Leave outputs that have the new bytes already as they are, with their times.",
+        ),
+        click.option(
+            "--depfile-target",
+            multiple=True,
+            metavar="NAME",
+            help="Name this in the depfile as what is made; may be repeated.",
+        ),
+        click.option(
+            "--depfile",
+            metavar="PATH",
+            type=click.Path(readable=False),
+            help="Write a rule for make or ninja: what is made, and the files that were read.",
+        ),
+    ):
+        function = option(function)
+    return function
+
+
 def at_a_time(help: str) -> Callable[[F], F]:
     """`-j`, how many stacks are made at a time."""
     return click.option(

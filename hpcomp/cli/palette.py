@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Callable
 from inspect import signature
 from typing import Any
@@ -12,7 +11,7 @@ import click
 from ..compositing import stack_rules
 from ..errors import ExitCode, SettingError
 from ..histogram import DEFAULT_ACHROMATIC
-from ..outputfile import STDOUT, whole_output
+from ..outputfile import STDOUT
 from ..palettes import (
     DEFAULT_CLOSE_HUES,
     DEFAULT_GREY_OPACITY,
@@ -23,8 +22,8 @@ from ..report.formats import put
 from ..report.paletteformats import FIGURES, PALETTE_FORMATS, PaletteLook, load, palette_format
 from . import signals, terminal
 from .messages import say
-from .options import F, LayerCommand, message_options, print_bytes
-from .reportoptions import clobber_option, report_options
+from .options import F, LayerCommand, make_options, message_options, print_bytes
+from .reportoptions import WRITING, clobber_option, opened_report, report_options
 from .stackoptions import STACK_OPTIONS, stack_options
 
 #: What is about single layers or about the result, and not about how two colours are added; and
@@ -139,6 +138,7 @@ def _limit(name: str, default: float, metavar: str, text: str) -> Callable[[F], 
     is_flag=True,
     help="End with exit code 6 if there is a finding; treat warnings as errors.",
 )
+@make_options
 @message_options
 @click.pass_context
 def command(
@@ -149,7 +149,6 @@ def command(
     output: str | None,
     format: str | None,
     figure: str,
-    clobber: bool,
     **options: Any,
 ) -> None:
     if len(colors) < 2 and not layers:
@@ -165,9 +164,9 @@ def command(
     if target == STDOUT:
         look = terminal.look(look)
     render = load(chosen)
-    signals.load("hpcomp.imagehues").images_to_measure(layers, target)
-    with contextlib.ExitStack() as opened:
-        place = opened.enter_context(whole_output(target, clobber=clobber)) if output else ""
+    specs = signals.load("hpcomp.imagehues").images_to_measure(layers, target)
+    writing = {name: options.pop(name) for name in WRITING}
+    with opened_report(target, [spec.path for spec in specs], **writing) as place:
         found = palettes.palette(colors, layers=layers, **options)
         content = render(found, look)
         if target == STDOUT:

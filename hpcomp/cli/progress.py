@@ -16,14 +16,18 @@ _BAR_COLUMNS = 30
 
 
 class Progress:
-    """Counts `total` jobs as they end."""
+    """Counts jobs as they end, once `begin` has said how many there are."""
 
-    def __init__(self, total: int, quiet: bool) -> None:
-        self.total, self.quiet = total, quiet
+    def __init__(self, quiet: bool) -> None:
+        self.total, self.quiet = 0, quiet
         self.ended = self.worked = self.failed = 0
         self._bar = not quiet and sys.stderr is not None and sys.stderr.isatty()
         self._begin = time.monotonic()
         self._drawn = 0.0
+
+    def begin(self, total: int) -> None:
+        """So many jobs there are, and time counts from now."""
+        self.total, self._begin = total, time.monotonic()
 
     def count(self, worked: bool, failed: bool, text: str) -> None:
         """One more has ended; `text` is its line where there is no bar."""

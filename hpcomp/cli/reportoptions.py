@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import contextlib
+from collections.abc import Callable, Iterator, Mapping, Sequence
 
 import click
 
+from ..depfile import Depfile
+from ..outputfile import STDOUT, check_places, whole_output
 from ..report.formats import ReportFormat
 from .options import F
 
@@ -37,3 +40,33 @@ clobber_option = click.option(
     show_default=True,
     help="Replace an existing output.",
 )
+
+#: The parameters of `opened_report` that are options of a command.
+WRITING = ("clobber", "depfile", "depfile_target", "write_if_changed")
+
+
+@contextlib.contextmanager
+def opened_report(
+    target: str,
+    inputs: Sequence[str],
+    *,
+    clobber: bool,
+    depfile: str | None,
+    depfile_target: Sequence[str],
+    write_if_changed: bool,
+) -> Iterator[str]:
+    """Where to write a report for `target`, nowhere if that is stdout, and its depfile beside it.
+
+    `inputs`: the files that it is made from.
+    """
+    deps = Depfile.asked(depfile, depfile_target, [target])
+    check_places([target, *([deps.path] if deps else ())])
+    with contextlib.ExitStack() as opened:
+        place = ""
+        if target != STDOUT:
+            place = opened.enter_context(
+                whole_output(target, clobber=clobber, if_changed=write_if_changed)
+            )
+        if deps is not None:
+            opened.enter_context(deps.written(inputs, write_if_changed))
+        yield place

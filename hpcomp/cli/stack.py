@@ -12,7 +12,7 @@ import click
 from ..encoding import OUT_PRIMARIES
 from ..porter_duff import OPERATORS
 from ..stackfile import LAYER_KEYS
-from .options import LayerCommand, at_a_time, message_options
+from .options import LayerCommand, at_a_time, make_options, message_options
 from .signals import load
 from .stackoptions import stack_options
 
@@ -139,6 +139,7 @@ argument is an existing file; a value holds no comma. Keys: {", ".join(LAYER_KEY
     help="Reports: shares of red, green and blue in the power of a display; 0.3,0.25,0.45, an "
     "estimate, if not given.",
 )
+@make_options
 @click.option(
     "--frames",
     metavar="RANGE",
@@ -168,19 +169,23 @@ def command(
     if frames is None and workers is not None:
         raise click.UsageError("-j is for frames, which --frames names", ctx)
     if frames is not None:
-        shared = {name: options.pop(name) for name in ("threads", "max_memory")}
-        jobs = load("hpcomp.frames").frame_jobs(layers, output, frames, **options)
+        sequence = load("hpcomp.jobs.frames")
+        # A depfile with a number is that of each frame, any other one that of all of them.
+        shared = ["threads", "max_memory"]
+        if not sequence.is_numbered(options["depfile"] or ""):
+            shared += ["depfile", "depfile_target"]
+        run = {name: options.pop(name) for name in shared}
+        jobs = sequence.frame_jobs(layers, output, frames, **options)
         if save_job is None:
-            load("hpcomp.cli.batch").run(ctx, jobs, workers=workers, **shared)
+            load("hpcomp.cli.batch").run(ctx, jobs, workers=workers, **run)
             return
     if save_job is not None:
-        jobfile = load("hpcomp.jobfile")
         if frames is None:
-            jobs = [jobfile.job_of_stack(layers, output, options)]
-        jobfile.save_jobs(jobs, save_job)
+            jobs = [load("hpcomp.jobs.schema").job_of_stack(layers, output, options)]
+        load("hpcomp.jobs.jobfile").save_jobs(jobs, save_job)
         return
-    if any(_PATTERN_SIGN.search(path) for path in (*layers, output)):
-        load("hpcomp.frames").check_no_frames(layers, output)
+    if any(_PATTERN_SIGN.search(path) for path in layers):
+        load("hpcomp.jobs.frames").check_no_frames(layers)
     pipeline = load("hpcomp.pipeline")
     if options["report"]:
         options["command"] = shlex.join(["hpcomp", *sys.argv[1:]])

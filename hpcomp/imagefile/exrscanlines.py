@@ -19,6 +19,7 @@ from ..encoding import REC709, Primaries, interop_id
 from ..errors import InputError
 from ..geometry import Window
 from ..samples import Samples
+from ..sourcedate import EXR_DATE, source_date
 from .deflate import InflateError, deflated, inflated
 from .packing import UNPACKS, exr_packed, exr_plain, exr_unpacked
 from .rawfile import RawFile
@@ -308,6 +309,10 @@ def _header(form: ExrForm, compression: int) -> bytes:
     ]
     if form.pixels_per_inch is not None:
         attributes.append((b"xDensity", b"float", struct.pack("<f", form.pixels_per_inch)))
+    date = source_date()
+    if date is not None:
+        attributes.append((b"capDate", b"string", date.strftime(EXR_DATE).encode()))
+        attributes.append((b"utcOffset", b"float", struct.pack("<f", 0)))
     return (
         b"".join(
             name + b"\0" + kind + b"\0" + struct.pack("<I", len(value)) + value

@@ -16,6 +16,7 @@ from .. import exrheader
 from ..encoding import interop_id
 from ..errors import InputError, OutputError
 from ..samples import Samples
+from ..sourcedate import EXR_DATE, source_date
 from .exrscanlines import ExrForm
 from .parts import Channel, Part
 
@@ -200,6 +201,9 @@ def _spec(form: ExrForm) -> oiio.ImageSpec:
         spec.attribute("ResolutionUnit", "in")
         spec.attribute("XResolution", form.pixels_per_inch)
         spec.attribute("YResolution", form.pixels_per_inch * form.pixel_aspect)
+    date = source_date()
     # An empty date keeps the clock out of the file.
-    spec.attribute("DateTime", "")
+    spec.attribute("DateTime", "" if date is None else date.strftime(EXR_DATE))
+    if date is not None:
+        spec.attribute("utcOffset", 0.0)
     return spec

@@ -15,6 +15,7 @@ from .. import iccprofile
 from ..encoding import REC709, Primaries
 from ..pngheader import CICP_PRIMARIES, CICP_SRGB, SIGNATURE
 from ..samples import Samples
+from ..sourcedate import source_date
 from .deflate import LAST_BLOCK, adler32, crc32, deflated, deflated_segment, joined_adler32
 from .packing import Bytes, png_filtered, size_of_differences
 from .segments import SegmentWriter
@@ -116,6 +117,7 @@ class PngWriter(SegmentWriter[Segment]):
         self._put(b"IHDR", struct.pack(">IIBBBBB", width, height, depth, _RGBA, 0, 0, 0))
         self._put_color(primaries)
         self._put_density(pixel_aspect, pixels_per_metre)
+        self._put_date()
         self._put(b"IDAT", b"\x78\x01")
 
     def _put_color(self, primaries: Primaries) -> None:
@@ -147,6 +149,12 @@ class PngWriter(SegmentWriter[Segment]):
             return
         if all(0.5 < density < _LARGEST_NUMBER for density in densities):
             self._put(b"pHYs", struct.pack(">IIB", *map(round, densities), unit))
+
+    def _put_date(self) -> None:
+        """tIME, where the environment has a date."""
+        date = source_date()
+        if date is not None:
+            self._put(b"tIME", struct.pack(">H5B", *date.timetuple()[:6]))
 
     def _complete(self) -> None:
         self._put(b"IDAT", LAST_BLOCK + struct.pack(">I", self._adler))

@@ -1,7 +1,7 @@
 """What all figures to publish share, and the only importer of matplotlib: a sheet, and its bytes.
 
 The same sheet gives the same bytes: fonts are those that come with matplotlib, nobody's
-matplotlibrc is read, and neither time nor version is written.
+matplotlibrc is read, and neither the clock nor a version is written.
 """
 
 from __future__ import annotations
@@ -10,12 +10,14 @@ import io
 import logging
 import warnings
 from collections.abc import Callable
+from email.utils import format_datetime
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from ..errors import OutputError
+from ..sourcedate import source_date
 
 # What it has to say of its caches is not for those who ask for a figure.
 logging.getLogger("matplotlib").setLevel(logging.CRITICAL)
@@ -53,12 +55,17 @@ _RC: dict[str, Any] = {
     "text.usetex": False,
 }
 
-#: For each format, what would otherwise say when and with which version it was made.
-_METADATA: dict[str, dict[str, Any]] = {
-    "svg": {"Date": None, "Creator": "hpcomp"},
-    "png": {"Software": None},
-    "pdf": {"CreationDate": None, "Creator": "hpcomp", "Producer": None},
-}
+
+def _metadata(format: str) -> dict[str, Any]:
+    """What a figure says of itself: no version, and the date of the environment alone."""
+    date = source_date()
+    written = None if date is None else format_datetime(date, usegmt=True)
+    rows: dict[str, dict[str, Any]] = {
+        "svg": {"Date": None if date is None else [date], "Creator": "hpcomp"},
+        "png": {"Software": None, **({"Creation Time": written} if written else {})},
+        "pdf": {"CreationDate": date, "Creator": "hpcomp", "Producer": None},
+    }
+    return rows[format]
 
 
 def saved(draw: Callable[[], Sheet], format: str) -> bytes:
@@ -72,7 +79,7 @@ def saved(draw: Callable[[], Sheet], format: str) -> bytes:
         matplotlib.rcdefaults()
         matplotlib.rcParams.update(_RC)
         figure = draw().figure
-        figure.savefig(stream, format=format, dpi=PNG_DPI, metadata=_METADATA[format])
+        figure.savefig(stream, format=format, dpi=PNG_DPI, metadata=_metadata(format))
     return stream.getvalue()
 
 

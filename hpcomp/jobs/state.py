@@ -10,21 +10,23 @@ import contextlib
 import hashlib
 import json
 import os
+import socket
 import stat
 import time
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
-from . import __version__, engine
-from .errors import OutputError, why
-from .jobfile import Job
-from .outputfile import remove_leftovers, whole_output
+from .. import __version__, engine
+from ..errors import OutputError, why
+from ..outputfile import remove_leftovers, whole_output
+from ..sourcedate import VARIABLE as SOURCE_DATE
+from .schema import Job
 
 #: A file that was changed so shortly before it was looked at may change again within the same tick
 #: of its clock.
 RACY_NS = 2 * 10**9
 #: Options that have no part in what is written.
-_WITHOUT_EFFECT = ("threads", "max_memory", "clobber")
+_WITHOUT_EFFECT = ("threads", "max_memory", "clobber", "write_if_changed")
 
 #: What is known of a job that was done: its key, its inputs and its outputs.
 Entry = dict[str, Any]
@@ -36,7 +38,8 @@ Entry = dict[str, Any]
 def job_key(job: Job) -> str:
     """A name of all that decides what the job writes, but for the content of its files."""
     document = {k: v for k, v in job.document().items() if k not in _WITHOUT_EFFECT}
-    written = json.dumps([document, __version__, engine.active().NAME], sort_keys=True)
+    date = os.environ.get(SOURCE_DATE)
+    written = json.dumps([document, __version__, engine.active().NAME, date], sort_keys=True)
     return hashlib.sha256(written.encode()).hexdigest()
 
 
@@ -123,61 +126,54 @@ class State:
 
     SIGKILL at any moment leaves a file that can be read: it is replaced as a whole when a run
     begins, and a line that is cut short is left out. `resume` carries on the run before; without
-    it a new one begins.
+    it a new one begins. `prefix`: of the temporary files of this run, which the next one removes
+    should this one be killed before it can.
     """
 
-    def __init__(self, path: str, jobs: Iterable[Job], resume: bool) -> None:
+    def __init__(self, path: str, jobs: Iterable[Job], resume: bool, prefix: str) -> None:
         self.path = path
         self._entries: dict[str, Entry] = {}
-        self._run = 0
-        processes = self._read()
-        if not resume:
-            self._run += 1
-        targets = [output for job in jobs for output in job.outputs]
-        for process in processes:
-            if not _is_alive(process["pid"]):
-                remove_leftovers(targets, process["process"])
-        lines = [{"version": 1, "run": self._run}, *self._entries.values()]
+        self._head: dict[str, Any] = {"run": 0}
+        self._read()
+        if _is_over(self._head):
+            targets = [output for job in jobs for output in job.outputs]
+            remove_leftovers(targets, self._head["prefix"])
+        self._head = {
+            "version": 1,
+            "run": self._head["run"] + (not resume),
+            "prefix": prefix,
+            "host": socket.gethostname(),
+            "pid": os.getpid(),
+        }
         with self._checked("written"):
             with whole_output(path) as target, open(target, "w") as file:
+                lines = [self._head, *self._entries.values()]
                 file.writelines(f"{json.dumps(line)}\n" for line in lines)
             self._file = open(path, "ab", buffering=0)  # noqa: SIM115
 
-    def _read(self) -> list[dict[str, Any]]:
-        """Takes in the entries; the processes of a run that was cut short."""
-        processes: list[dict[str, Any]] = []
+    def _read(self) -> None:
+        """Takes in the head and the entries that can be read."""
         if not os.path.exists(self.path):
-            return processes
+            return
         with self._checked("read"), open(self.path, "rb") as file:
             for line in file:
                 try:
                     found = json.loads(line)
                 except ValueError:
                     continue
-                if not isinstance(found, dict):
-                    continue
-                if "output" in found:
+                if isinstance(found, dict) and "output" in found:
                     self._entries[found["output"]] = found
-                elif "process" in found:
-                    processes.append(found)
-                elif found.get("version") == 1:
-                    self._run = found.get("run", 0)
-        return processes
+                elif isinstance(found, dict) and found.get("version") == 1:
+                    self._head = found
 
     def entry(self, job: Job, of_this_run: bool) -> Entry | None:
         """What is known of a job; `of_this_run`: only if this run, or what it resumes, did it."""
         entry = self._entries.get(os.path.abspath(job.output))
-        return None if entry and of_this_run and entry.get("run") != self._run else entry
+        return None if entry and of_this_run and entry.get("run") != self._head["run"] else entry
 
     def add(self, job: Job, entry: Entry) -> None:
         """Remembers a job that was done."""
-        self._append({**entry, "output": os.path.abspath(job.output), "run": self._run})
-
-    def add_process(self, pid: int, prefix: str) -> None:
-        """Remembers who writes temporary files, should it be killed before it can remove them."""
-        self._append({"process": prefix, "pid": pid})
-
-    def _append(self, line: Mapping[str, Any]) -> None:
+        line = {**entry, "output": os.path.abspath(job.output), "run": self._head["run"]}
         with self._checked("written"):
             self._file.write(f"{json.dumps(line)}\n".encode())
 
@@ -193,11 +189,14 @@ class State:
         self._file.close()
 
 
-def _is_alive(pid: int) -> bool:
-    try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
+def _is_over(head: Mapping[str, Any]) -> bool:
+    """Whether a run was of this machine and is no more."""
+    if head.get("host") != socket.gethostname():
         return False
+    try:
+        os.kill(head["pid"], 0)
+    except ProcessLookupError:
+        return True
     except OSError:
         pass
-    return True
+    return False

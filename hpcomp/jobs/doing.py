@@ -1,24 +1,33 @@
-"""One job in one process: what a batch runs several of, and how it is told what to do.
+"""One job, in a process of its own: what such a process does, and how it is told.
 
-Jobs come and what became of them goes as lines of JSON through pipes, until there are no more.
+Jobs come and what became of them goes as lines of JSON through pipes, until there are no more. A
+process whose pipe is closed in the midst of a job, as when whoever gave it was killed, tidies up
+and ends.
 """
 
 from __future__ import annotations
 
 import json
 import os
+import queue
 import signal
 import sys
+import threading
 import time
 import warnings
 from types import FrameType
-from typing import Any
+from typing import Any, BinaryIO
 
-from . import outputfile
-from .errors import ExitCode, HpcompError, HpcompWarning, one_line
-from .jobfile import Job, jobs_of
-from .jobstate import input_signature, is_current, job_key, output_signature
-from .pipeline import stack
+from .. import __version__, engine, outputfile
+from ..errors import ExitCode, HpcompError, HpcompWarning, MismatchError, one_line
+from ..pipeline import stack
+from .schema import Job, jobs_of
+from .state import input_signature, is_current, job_key, output_signature
+
+
+def maker() -> list[str]:
+    """What decides over the bytes of a stack beside its job: the version, and the engine."""
+    return [__version__, engine.active().NAME]
 
 
 def do_job(task: dict[str, Any]) -> dict[str, Any]:
@@ -26,7 +35,7 @@ def do_job(task: dict[str, Any]) -> dict[str, Any]:
 
     `task`: `job` as a document; `granted`, options of `stack` that hold unless the job has its own;
     `entry`, what is known of an earlier run if the job may be up to date; `by_content`, whether
-    files are to be known by their content from now on.
+    files are to be known by their content from now on; `maker`, which this one has to be.
     """
     begin = time.perf_counter()
     _forget_peak()
@@ -35,6 +44,8 @@ def do_job(task: dict[str, Any]) -> dict[str, Any]:
         warnings.simplefilter("ignore")
         warnings.simplefilter("always", HpcompWarning)
         try:
+            if task["maker"] != maker():
+                raise MismatchError(_other_maker(task["maker"]))
             (job,) = jobs_of([task["job"]])
             if is_current(task["entry"], job):
                 result["status"] = "current"
@@ -42,15 +53,20 @@ def do_job(task: dict[str, Any]) -> dict[str, Any]:
             else:
                 result["entry"] = _made(job, task["granted"], task["by_content"])
         except HpcompError as error:
-            result |= _failure(str(error), error.exit_code)
+            result |= failure(str(error), error.exit_code)
         except Exception as error:
-            result |= _failure(f"bug: {type(error).__name__}: {error}", ExitCode.BUG)
+            result |= failure(f"bug: {type(error).__name__}: {error}", ExitCode.BUG)
     return {
         **result,
         "seconds": round(time.perf_counter() - begin, 6),
         "peak_memory": _peak(),
         "warnings": [one_line(str(w.message)) for w in caught],
     }
+
+
+def failure(message: str, code: ExitCode) -> dict[str, Any]:
+    """What became of a job that failed."""
+    return {"status": "failed", "error": one_line(message), "exit_code": int(code)}
 
 
 def _made(job: Job, granted: dict[str, Any], by_content: bool) -> dict[str, Any]:
@@ -61,8 +77,14 @@ def _made(job: Job, granted: dict[str, Any], by_content: bool) -> dict[str, Any]
     return {"key": job_key(job), "inputs": inputs, "outputs": outputs}
 
 
-def _failure(message: str, code: ExitCode) -> dict[str, Any]:
-    return {"status": "failed", "error": one_line(message), "exit_code": int(code)}
+def _other_maker(asked: list[str]) -> str:
+    def words(version: str, name: str) -> str:
+        return f"hpcomp {version} (engine: {name})"
+
+    return (
+        f"the worker has {words(*maker())} and the batch {words(*asked)}, whose bytes may differ: "
+        "install the same on both"
+    )
 
 
 def _forget_peak() -> None:
@@ -89,9 +111,21 @@ def _peak() -> int:
     return peak if sys.platform == "darwin" else peak << 10
 
 
+# --- the process ----------------------------------------------------------------------------------
+
+
 def _end(signal_number: int, frame: FrameType | None) -> None:
     signal.signal(signal.SIGTERM, signal.SIG_IGN)  # a second one must not stop the tidying up
     raise SystemExit(int(ExitCode.TERMINATED))
+
+
+def _receive(tasks: BinaryIO, waiting: queue.Queue[bytes | None], busy: threading.Event) -> None:
+    for line in tasks:
+        busy.set()
+        waiting.put(line)
+    waiting.put(None)
+    if busy.is_set():
+        os.kill(os.getpid(), signal.SIGTERM)
 
 
 def main(temporary_prefix: str) -> None:
@@ -103,12 +137,17 @@ def main(temporary_prefix: str) -> None:
     silence = os.open(os.devnull, os.O_RDWR)
     for descriptor in range(3):
         os.dup2(silence, descriptor)
+    waiting: queue.Queue[bytes | None] = queue.Queue()
+    busy = threading.Event()
+    threading.Thread(target=_receive, args=(tasks, waiting, busy), daemon=True).start()
     try:
-        for line in tasks:
-            results.write(json.dumps(do_job(json.loads(line))).encode() + b"\n")
+        while (line := waiting.get()) is not None:
+            result = json.dumps(do_job(json.loads(line))).encode()
+            busy.clear()
+            results.write(result + b"\n")
             results.flush()
     except BrokenPipeError:
-        pass  # the batch was killed: the job is done all the same
+        pass  # nobody asks any more
     except SystemExit as end:
         os._exit(int(str(end.code)))
-    os._exit(0)
+    os._exit(int(ExitCode.DONE))

@@ -8,10 +8,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from .errors import SettingError
-from .jobfile import Job, job_of_stack
-from .placedstack import Layer
-from .stackfile import LayerSpec, layer_spec
+from ..errors import SettingError
+from ..placedstack import Layer, layer_specs
+from ..stackfile import LayerSpec
+from .schema import Job, job_of_stack
 
 _RANGE = re.compile(r"(-?\d+)(?:-(-?\d+)(?:x(\d+))?)?", re.ASCII)
 #: `%d`, `%04d`, or as many # as there are digits.
@@ -39,7 +39,12 @@ def parse_frames(text: str) -> list[int]:
 
 def has_pattern(path: str) -> bool:
     """Whether the path is that of many frames: it has %04d or ####, and no such file exists."""
-    return bool(_PATTERN.search(path)) and not os.path.lexists(path)
+    return is_numbered(path) and not os.path.lexists(path)
+
+
+def is_numbered(path: str) -> bool:
+    """Whether the path has a place for the number of a frame."""
+    return bool(_PATTERN.search(path))
 
 
 def numbered(path: str, frame: int) -> str:
@@ -66,13 +71,13 @@ def frame_jobs(
     Errors: `SettingError`, also where no layer has a pattern, or several frames one output.
     """
     numbers = parse_frames(frames) if isinstance(frames, str) else list(frames)
-    specs = [layer_spec(layer) for layer in layers]
+    specs = layer_specs(layers)
     output = os.fspath(output)
     if not any(has_pattern(spec.path) for spec in specs):
         raise SettingError(
             "no layer has a pattern of frames, such as base.%04d.exr or base.####.exr"
         )
-    if len(numbers) > 1 and not _PATTERN.search(output):
+    if len(numbers) > 1 and not is_numbered(output):
         raise SettingError(
             f"{len(numbers)} frames cannot all be written to {output}: put %04d or #### into it"
         )
@@ -82,7 +87,7 @@ def frame_jobs(
 def _frame(specs: Sequence[LayerSpec], output: str, options: Mapping[str, Any], frame: int) -> Job:
     written = {
         name: _numbered_output(options[name], frame)
-        for name in ("report", "provenance")
+        for name in ("report", "provenance", "depfile", "depfile_target")
         if options.get(name)
     }
     job = job_of_stack(
@@ -103,10 +108,9 @@ def _numbered_output(paths: Any, frame: int) -> Any:
     return numbered(os.fspath(paths), frame)
 
 
-def check_no_frames(layers: Sequence[Layer], output: str | os.PathLike[str]) -> None:
-    """`SettingError` where paths have a pattern and frames were not asked for."""
-    paths = [layer_spec(layer).path for layer in layers]
-    for path in [*paths, os.fspath(output)]:
+def check_no_frames(layers: Sequence[Layer]) -> None:
+    """`SettingError` where a layer is a pattern of frames, and frames were not asked for."""
+    for spec in layer_specs(layers):
         # One # may well be a part of a name.
-        if has_pattern(path) and re.search(r"%0?\d*d|##", path):
-            raise SettingError(f"{path} is a pattern of frames: say which with --frames")
+        if has_pattern(spec.path) and re.search(r"%0?\d*d|##", spec.path):
+            raise SettingError(f"{spec.path} is a pattern of frames: say which with --frames")

@@ -1,0 +1,85 @@
+"""Dependency files for make and ninja: which files were read to make which."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+
+from .errors import OutputError, SettingError, why
+from .outputfile import STDOUT, whole_output
+
+#: What make takes for its own in a name, written so that make and ninja read the character alone.
+_ESCAPES = {"$": "$$", "#": "\\#", ":": "\\:"}
+_SPECIAL = re.compile(r"(\\*)([ \t])|([$#:])")
+
+
+@dataclass(frozen=True)
+class Depfile:
+    """A dependency file that is asked for: its path, and the targets that it is about."""
+
+    path: str
+    targets: tuple[str, ...]
+
+    @staticmethod
+    def asked(
+        path: str | os.PathLike[str] | None, targets: str | Sequence[str], outputs: Sequence[str]
+    ) -> Depfile | None:
+        """None where no path is given. `targets`: the outputs if empty.
+
+        Errors: `SettingError` for targets without a path, and for stdout without a target.
+        """
+        given = (targets,) if isinstance(targets, str) else tuple(targets)
+        if path is None:
+            if given:
+                raise SettingError(
+                    f"depfile target {given[0]} needs a depfile: name one with --depfile"
+                )
+            return None
+        if not given and STDOUT in outputs:
+            raise SettingError(
+                "a depfile has to name what is made, and stdout is no file: give --depfile-target"
+            )
+        return Depfile(os.fspath(path), given or tuple(outputs))
+
+    @contextlib.contextmanager
+    def written(self, inputs: Iterable[str], if_changed: bool = False) -> Iterator[None]:
+        """The file appears when the block ends in peace: before the outputs that were opened first.
+
+        `inputs`: what was read; streams are left out. Errors: `SettingError`, `OutputError`.
+        """
+        text = rule(self.targets, [path for path in inputs if not _is_stream(path)])
+        with whole_output(self.path, if_changed=if_changed) as place:
+            yield
+            try:
+                with open(place, "w", encoding="utf-8", errors="surrogateescape") as file:
+                    file.write(text)
+            except OSError as reason:
+                raise OutputError(f"{self.path}: cannot be written: {why(reason)}") from None
+
+
+def rule(targets: Iterable[str], inputs: Iterable[str]) -> str:
+    """A rule by which `targets` are made from `inputs`, and an empty one for each input.
+
+    The empty ones let make go on where an input is no more: the target is made again. Names are
+    escaped as both GNU make and ninja read them. Errors: `SettingError` for a line break in one.
+    """
+    made = " ".join(_escaped(path).replace("%", "\\%") for path in dict.fromkeys(targets))
+    read = [_escaped(path) for path in dict.fromkeys(inputs)]
+    return "\n\n".join([" \\\n  ".join([f"{made}:", *read]), *(f"{path}:" for path in read)]) + "\n"
+
+
+def _escaped(path: str) -> str:
+    if "\n" in path or "\r" in path:
+        raise SettingError(f"{path!r} has a line break, which no depfile can hold: rename it")
+    # At the start of a word make takes it for somebody's home.
+    path = f"./{path}" if path.startswith("~") else path
+    # Backslashes count only before a blank.
+    return _SPECIAL.sub(lambda m: _ESCAPES[m[3]] if m[3] else f"{m[1] * 2}\\{m[2]}", path)
+
+
+def _is_stream(path: str) -> bool:
+    """Whether it is stdin, or a pipe or device, which make could not look at."""
+    return path == STDOUT or (os.path.exists(path) and not os.path.isfile(path))

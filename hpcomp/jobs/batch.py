@@ -1,0 +1,364 @@
+"""Many stacks: which job is begun when, and what became of each."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import logging
+import os
+import time
+from collections import Counter, deque
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from graphlib import CycleError, TopologicalSorter
+from typing import Any
+
+from ..budget import DEFAULT_MAX_MEMORY, parse_bytes
+from ..depfile import Depfile
+from ..errors import ExitCode, InputError, OutputError, SettingError, why
+from ..imagefile import STDIN
+from ..outputfile import STDOUT, stdout_bytes
+from .doing import maker
+from .jobfile import read_jobs
+from .processes import Crew, Processes, Result
+from .schema import Job, jobs_of
+from .state import State, state_beside
+
+log = logging.getLogger("hpcomp")
+
+#: How often whoever waits is told so.
+TICK_S = 0.1
+
+#: From the worst failure to the least: the exit code of a batch is that of the worst.
+SEVERITY = (
+    ExitCode.BUG,
+    ExitCode.OUTPUT,
+    ExitCode.INPUT,
+    ExitCode.MISMATCH,
+    ExitCode.USAGE,
+    ExitCode.DONE,
+)
+
+
+@dataclass(frozen=True)
+class JobRecord:
+    """What became of one job, as a line of the log says it.
+
+    `job`: counted from 1. `status`: `made`, `current` (it was up to date), `skipped` (its output
+    stood there), `failed`, or `not run` (after a failure). `seconds`, and `peak_memory` in bytes,
+    of the process that did it. `error` and `exit_code` of a failure, None and 0 else.
+    """
+
+    job: int
+    status: str
+    inputs: Sequence[str]
+    outputs: Sequence[str]
+    seconds: float = 0.0
+    peak_memory: int = 0
+    warnings: Sequence[str] = ()
+    error: str | None = None
+    exit_code: int = int(ExitCode.DONE)
+
+
+@dataclass(frozen=True)
+class BatchResult:
+    """What became of all jobs: a record of each, in the order of the jobs."""
+
+    records: Sequence[JobRecord]
+    seconds: float
+
+    @property
+    def counts(self) -> Mapping[str, int]:
+        """How many jobs have which status."""
+        return Counter(record.status for record in self.records)
+
+    @property
+    def exit_code(self) -> ExitCode:
+        """0 if nothing failed, else the code of the worst failure: the first in `SEVERITY`."""
+        codes = {ExitCode(record.exit_code) for record in self.records}
+        return next((code for code in SEVERITY if code in codes), ExitCode.DONE)
+
+
+def batch(
+    jobs: str | os.PathLike[str] | Sequence[Mapping[str, Any] | Job],
+    *,
+    format: str | None = None,
+    workers: int | None = None,
+    threads: int | None = None,
+    max_memory: str | int = DEFAULT_MAX_MEMORY,
+    fail_fast: bool = False,
+    skip_existing: bool = False,
+    update: bool = False,
+    resume: bool = False,
+    write_if_changed: bool = False,
+    state: str | os.PathLike[str] | None = None,
+    log_to: str | os.PathLike[str] | None = None,
+    depfile: str | os.PathLike[str] | None = None,
+    depfile_target: str | Sequence[str] = (),
+    dask: str | None = None,
+    command: str = "",
+    on_begin: Callable[[Sequence[Job]], None] | None = None,
+    on_record: Callable[[JobRecord, Job], None] | None = None,
+    on_wait: Callable[[], None] | None = None,
+) -> BatchResult:
+    """Makes many stacks, several at a time, each as `stack` would.
+
+    `jobs`: a job file, of the `format` that its ending says if None, or tables such as
+    `{"layers": [LAYER, …], "output": PATH}` with options of `stack`. A job whose layer is another's
+    output waits for it.
+    `workers`: jobs at a time, each on a core of its own; one for each core if None, but so that
+    each has 128M of `max_memory`. `threads`, as many as cores are used if None, and `max_memory`
+    are for all of them together. `write_if_changed`: as in `stack`. What a job says of these itself
+    goes first.
+    A failure does not stop the others; with `fail_fast` no more are begun. `skip_existing`: jobs
+    whose outputs all exist are left out. `update`: jobs whose inputs (by content), options and
+    outputs are as they were are left out. `resume`: those that an interrupted run has done are left
+    out. Both need `state`, a file that remembers what was done; of a job file it is a hidden one
+    beside it if None. `log_to`: a path to which a line of JSON is written for each job, `-` for
+    stdout. `depfile`: a path for a rule of make that says what was read, the job file included;
+    `depfile_target`: of what, the pictures if empty.
+    `dask`: the address of a Dask scheduler, or its scheduler file, whose workers do the jobs, on
+    the same paths; `local:4` starts one with four. `workers` is then how many jobs it has at a
+    time, `threads` (1 if None) and `max_memory` are of each job, and a job whose worker dies is
+    given to another.
+    `command` is what reports say made them. `on_begin` is told of the jobs, `on_record` of each
+    that ends, `on_wait` is called several times a second.
+    Returns: what became of each job. Nothing but complete files appear.
+    Errors: of a job they are in its record; `SettingError` and `InputError` for the jobs as such
+    and for a cluster that does not answer, `OutputError` for state, log and depfile.
+    """
+    job_file = None
+    if isinstance(jobs, (str, os.PathLike)):
+        todo = read_jobs(jobs, format=format)
+        job_file = os.fspath(jobs)
+        if job_file == STDIN:
+            job_file = None
+        elif state is None:
+            state = state_beside(job_file, needed=update or resume)
+    else:
+        todo = jobs_of(jobs)
+    if (update or resume) and state is None:
+        raise SettingError(
+            f"{'update' if update else 'resume'} needs to know what was done: name a file for it "
+            "with --state"
+        )
+    deps = Depfile.asked(depfile, depfile_target, [job.output for job in todo])
+    memory = parse_bytes(max_memory)
+    begin = time.perf_counter()
+    makers = _makers(todo)
+    order = _order(todo, makers)
+    if on_begin is not None:
+        on_begin(todo)
+    prefix = f"hpcomp.{os.urandom(6).hex()}."
+    with contextlib.ExitStack() as opened:
+        remembered = None
+        if state is not None:
+            remembered = State(os.fspath(state), todo, resume, prefix)
+            opened.callback(remembered.close)
+        lines = None
+        if log_to is not None:
+            lines = _Log(os.fspath(log_to), append=resume)
+            opened.callback(lines.close)
+        if deps is not None:
+            _write_depfile(deps, todo, makers, job_file)
+        crew: Crew
+        if dask is None:
+            crew = Processes.sharing(len(todo), workers, threads, memory, prefix)
+        else:
+            from .cluster import Cluster
+
+            crew = Cluster.at(dask, workers, threads, memory, prefix)
+        run = _Run(
+            todo,
+            makers,
+            order,
+            crew,
+            remembered,
+            granted={
+                **crew.granted,
+                "command": command,
+                **({"write_if_changed": True} if write_if_changed else {}),
+            },
+            fail_fast=fail_fast,
+            skip_existing=skip_existing,
+            update=update,
+            resume=resume,
+        )
+
+        def ended(record: JobRecord) -> None:
+            if lines is not None:
+                lines.add(record)
+            if on_record is not None:
+                on_record(record, todo[record.job - 1])
+
+        records = run.all(ended, on_wait or (lambda: None))
+    return BatchResult(records, time.perf_counter() - begin)
+
+
+def _write_depfile(
+    asked: Depfile, jobs: Sequence[Job], makers: Mapping[str, int], job_file: str | None
+) -> None:
+    """Says what all jobs together read, but for what they make themselves."""
+    read = [layer for job in jobs for layer in job.inputs if os.path.realpath(layer) not in makers]
+    with asked.written(read if job_file is None else [job_file, *read]):
+        pass
+
+
+class _Log:
+    """A line of JSON for each record, at `path` or on stdout."""
+
+    def __init__(self, path: str, append: bool) -> None:
+        self.path = path
+        with self._checked():
+            mode = "ab" if append else "wb"
+            self._file = stdout_bytes() if path == STDOUT else open(path, mode)  # noqa: SIM115
+
+    def add(self, record: JobRecord) -> None:
+        with self._checked():
+            self._file.write(f"{json.dumps(asdict(record))}\n".encode())
+            self._file.flush()
+
+    def close(self) -> None:
+        with self._checked():
+            self._file.close()
+
+    @contextlib.contextmanager
+    def _checked(self) -> Iterator[None]:
+        try:
+            yield
+        except BrokenPipeError:
+            raise
+        except OSError as reason:
+            raise OutputError(f"{self.path}: the log cannot be written: {why(reason)}") from None
+
+
+# --- the run --------------------------------------------------------------------------------------
+
+
+class _Run:
+    """One run of a batch: what is ready, what is being done, and what became of the rest."""
+
+    def __init__(
+        self,
+        jobs: Sequence[Job],
+        makers: Mapping[str, int],
+        order: TopologicalSorter[int],
+        crew: Crew,
+        state: State | None,
+        *,
+        granted: Mapping[str, Any],
+        fail_fast: bool,
+        skip_existing: bool,
+        update: bool,
+        resume: bool,
+    ) -> None:
+        self.jobs, self.makers, self.order = jobs, makers, order
+        self.crew, self.state, self.granted = crew, state, granted
+        self.fail_fast, self.skip_existing = fail_fast, skip_existing
+        self.update, self.resume = update, resume
+        self.maker = maker()
+        self.records: dict[int, JobRecord] = {}
+        self.ready: deque[int] = deque()
+        self.stopped = False
+
+    def all(self, ended: Callable[[JobRecord], None], wait: Callable[[], None]) -> list[JobRecord]:
+        """Does all jobs; the record of each in their order."""
+        try:
+            self._begin(ended)
+            while self.crew.is_busy():
+                for number, result in self.crew.ended(TICK_S):
+                    self._done(self._record(number, result), ended)
+                self._begin(ended)
+                wait()
+            for number in range(len(self.jobs)):
+                if number not in self.records:
+                    self._done(self._plain(number, "not run"), ended)
+        except BaseException:
+            self.crew.stop()
+            raise
+        self.crew.close()
+        return [self.records[number] for number in range(len(self.jobs))]
+
+    def _begin(self, ended: Callable[[JobRecord], None]) -> None:
+        """Begins as many jobs as there is room for; those that need nothing done are done."""
+        while not self.stopped:
+            self.ready.extend(self.order.get_ready())
+            if not self.ready or not self.crew.has_room():
+                return
+            number = self.ready.popleft()
+            record = self._without_running(number)
+            if record is None:
+                self.crew.give(number, self._task(number), self.jobs[number].outputs)
+            else:
+                self._done(record, ended)
+
+    def _done(self, record: JobRecord, ended: Callable[[JobRecord], None]) -> None:
+        number = record.job - 1
+        self.records[number] = record
+        self.stopped = self.stopped or (self.fail_fast and record.status == "failed")
+        ended(record)
+        if record.status != "not run":
+            self.order.done(number)
+
+    def _task(self, number: int) -> dict[str, Any]:
+        entry = None
+        if self.state is not None and (self.update or self.resume):
+            entry = self.state.entry(self.jobs[number], of_this_run=not self.update)
+        return {
+            "job": self.jobs[number].document(),
+            "granted": self.granted,
+            "entry": entry,
+            "by_content": self.update,
+            "maker": self.maker,
+        }
+
+    def _plain(self, number: int, status: str, **more: Any) -> JobRecord:
+        job = self.jobs[number]
+        return JobRecord(number + 1, status, job.inputs, job.outputs, **more)
+
+    def _without_running(self, number: int) -> JobRecord | None:
+        """The record of a job that need not or cannot be run."""
+        job = self.jobs[number]
+        if self.skip_existing and all(map(os.path.lexists, job.outputs)):
+            return self._plain(number, "skipped")
+        for path in job.inputs:
+            maker = self.makers.get(os.path.realpath(path))
+            if maker not in (None, number) and self.records[maker].exit_code:
+                error = f"{path} is made by job {maker + 1}, which failed"
+                return self._plain(
+                    number, "failed", error=error, exit_code=int(InputError.exit_code)
+                )
+        return None
+
+    def _record(self, number: int, result: Result) -> JobRecord:
+        entry = result.pop("entry", None)
+        if self.state is not None and entry is not None:
+            self.state.add(self.jobs[number], entry)
+        log.info("%s: %s, %s", self.jobs[number].where, self.jobs[number].output, result["status"])
+        return self._plain(number, **result)
+
+
+def _makers(jobs: Sequence[Job]) -> dict[str, int]:
+    """Which job writes which file. Errors: `SettingError` where two write the same."""
+    makers: dict[str, int] = {}
+    for number, job in enumerate(jobs):
+        for output in job.outputs:
+            place = os.path.realpath(output)
+            other = makers.setdefault(place, number)
+            if other != number:
+                raise SettingError(f"{job.where} and {jobs[other].where} both write {output}")
+    return makers
+
+
+def _order(jobs: Sequence[Job], makers: Mapping[str, int]) -> TopologicalSorter[int]:
+    """The jobs, each after those that write its layers. Errors: `SettingError` for a circle."""
+    order: TopologicalSorter[int] = TopologicalSorter()
+    for number, job in enumerate(jobs):
+        needed = {makers.get(os.path.realpath(path)) for path in job.inputs} - {None, number}
+        order.add(number, *(maker for maker in needed if maker is not None))
+    try:
+        order.prepare()
+    except CycleError as circle:
+        names = ", ".join(jobs[number].where for number in dict.fromkeys(circle.args[1]))
+        raise SettingError(f"{names} wait for each other's outputs") from None
+    return order
