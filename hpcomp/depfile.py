@@ -14,6 +14,8 @@ from .outputfile import STDOUT, whole_output
 #: What make takes for its own in a name, written so that make and ninja read the character alone.
 _ESCAPES = {"$": "$$", "#": "\\#", ":": "\\:"}
 _SPECIAL = re.compile(r"(\\*)([ \t])|([$#:])")
+#: What ends a rule, however it is escaped.
+_IMPOSSIBLE = re.compile(r"[\n\r;]")
 
 
 @dataclass(frozen=True)
@@ -64,16 +66,27 @@ def rule(targets: Iterable[str], inputs: Iterable[str]) -> str:
     """A rule by which `targets` are made from `inputs`, and an empty one for each input.
 
     The empty ones let make go on where an input is no more: the target is made again. Names are
-    escaped as both GNU make and ninja read them. Errors: `SettingError` for a line break in one.
+    escaped as both GNU make and ninja read them. Errors: `SettingError` for one that no rule can hold.
     """
-    made = " ".join(_escaped(path).replace("%", "\\%") for path in dict.fromkeys(targets))
-    read = [_escaped(path) for path in dict.fromkeys(inputs)]
-    return "\n\n".join([" \\\n  ".join([f"{made}:", *read]), *(f"{path}:" for path in read)]) + "\n"
+    read = list(dict.fromkeys(inputs))
+    made = " ".join(map(_escaped_target, dict.fromkeys(targets)))
+    lines = [" \\\n  ".join([f"{made}:", *map(_escaped, read)])]
+    for path in read:
+        # With = in its first word make would take the line for an assignment.
+        lines.append(f"{made} {_escaped(path)}:" if "=" in path else f"{_escaped_target(path)}:")
+    return "\n\n".join(lines) + "\n"
+
+
+def _escaped_target(path: str) -> str:
+    """A target's % would make the rule one of patterns."""
+    return _escaped(path).replace("%", "\\%")
 
 
 def _escaped(path: str) -> str:
-    if "\n" in path or "\r" in path:
-        raise SettingError(f"{path!r} has a line break, which no depfile can hold: rename it")
+    if _IMPOSSIBLE.search(path):
+        raise SettingError(
+            f"{path!r} has a line break or semicolon, which make cannot read in a depfile: rename it"
+        )
     # At the start of a word make takes it for somebody's home.
     path = f"./{path}" if path.startswith("~") else path
     # Backslashes count only before a blank.

@@ -118,8 +118,8 @@ class Desk:
         path.write_bytes(content)
         return path
 
-    def run(self, *arguments: object, **how: Any) -> Run:
-        return hpcomp(*arguments, cwd=self.folder, env=self.env, **how)
+    def run(self, *arguments: object, env: Mapping[str, str] | None = None, **how: Any) -> Run:
+        return hpcomp(*arguments, cwd=self.folder, env={**self.env, **(env or {})}, **how)
 
     def makes(self, *arguments: object, **how: Any) -> Run:
         """A run that succeeds without a word and leaves no temporary file."""

@@ -25,6 +25,8 @@ from .processes import PATIENCE_S, JobProcess, Result, Task, stop
 
 #: How long a scheduler has to answer.
 CONNECTION_S = 10
+#: How long a process on a worker waits for another job, should the batch have been killed.
+IDLE_S = 30
 #: How long a cluster may be without workers before that is said.
 LONELY_S = 5
 #: Jobs that are given to each thread of the cluster, so that it never waits for the next one.
@@ -48,38 +50,43 @@ def do_there(task: Task, prefix: str, folder: str, environment: Mapping[str, str
 
     `prefix`: of the temporary files of the batch; `folder`: its working directory.
     """
-    with _lock:
-        waiting = _idle.setdefault(prefix, [])
-        process = waiting.pop() if waiting else None
-    if process is None:
+    while True:
+        with _lock:
+            waiting = _idle.setdefault(prefix, [])
+            idle = waiting.pop() if waiting else None
         try:
-            process = JobProcess(prefix, folder, environment)
+            process = idle or JobProcess(prefix, folder, environment, patience_s=IDLE_S)
         except OSError:
             return failure(
                 f"the worker has no directory {folder}: jobs need the same files on all machines",
                 ExitCode.INPUT,
             )
+        if idle is None:
+            with _lock:
+                _all.setdefault(prefix, []).append(process)
+        process.give(task)
+        try:
+            while (result := process.result()) is None:
+                pass
+        except EOFError:
+            with _lock, contextlib.suppress(KeyError, ValueError):  # as after `end_there`
+                _all[prefix].remove(process)
+            result = process.death(())
+            if idle is not None and process.process.returncode == ExitCode.DONE:
+                continue  # it had waited too long
+            return result
         with _lock:
-            _all.setdefault(prefix, []).append(process)
-    process.give(task)
-    try:
-        while (result := process.result()) is None:
-            pass
-    except EOFError:
-        with _lock:
-            _all[prefix].remove(process)
-        return process.death(())
-    with _lock:
-        _idle[prefix].append(process)
-    return result
+            _idle.setdefault(prefix, []).append(process)
+        return result
 
 
 def end_there(prefix: str) -> None:
     """Ends what a Dask worker has of a batch, whatever it does."""
     with _lock:
-        processes = _all.pop(prefix, [])
-        _idle.pop(prefix, None)
+        processes, idle = _all.pop(prefix, []), _idle.pop(prefix, [])
     stop(processes)
+    for process in idle:  # a busy one is buried by the thread that waits for it
+        process.bury()
 
 
 # --- here -----------------------------------------------------------------------------------------
@@ -130,7 +137,9 @@ class Cluster:
                 "--dask needs distributed, which is not installed: pip install 'hpcomp[dask]'"
             ) from None
         # What goes on in a cluster is told here in our own lines.
-        logging.getLogger("distributed").setLevel(logging.CRITICAL)
+        for name in ("distributed", *logging.root.manager.loggerDict):
+            if name.partition(".")[0] == "distributed":
+                logging.getLogger(name).setLevel(logging.CRITICAL)
         started = None
         try:
             if kind == "local":
@@ -148,7 +157,7 @@ class Cluster:
                 set_as_default=False,
                 name="hpcomp",
             )
-        except (OSError, ValueError, TypeError) as reason:
+        except Exception as reason:  # whatever distributed finds wrong with an address or a file
             if started is not None:
                 started.close()
             raise InputError(
@@ -164,13 +173,19 @@ class Cluster:
         self._count()
         return len(self._begun) < JOBS_OF_A_THREAD * max(1, self._threads)
 
+    def _is_gone(self) -> bool:
+        """Whether the client has given the scheduler up."""
+        return self._client.status in ("closing", "closed")
+
     def _count(self) -> None:
         """Sees how many threads the cluster has now, and says so where it has none."""
         now = time.monotonic()
         if self._counted and now - self._counted < COUNT_S:
             return
         self._counted = now
-        with contextlib.suppress(OSError, TimeoutError):  # jobs tell of a scheduler that is gone
+        if self._is_gone():
+            return
+        with contextlib.suppress(OSError):  # jobs tell of a scheduler that does not answer
             self._threads = sum(self._client.nthreads().values())
         if self._threads:
             self._seen = now
@@ -184,14 +199,13 @@ class Cluster:
 
     def give(self, number: int, task: Task, outputs: Sequence[str]) -> None:
         self._outputs.update(map(os.path.abspath, outputs))
+        if self._is_gone():
+            self._begun[number] = None
+            self._ended.put((number, None))
+            return
+        here = (self._prefix, os.getcwd(), self._environment)
         future = self._client.submit(
-            do_there,
-            task,
-            self._prefix,
-            os.getcwd(),
-            self._environment,
-            key=f"{self._prefix}{number}",
-            pure=False,
+            do_there, task, *here, key=f"{self._prefix}{number}", pure=False
         )
         self._begun[number] = future
         future.add_done_callback(lambda done: self._ended.put((number, done)))
@@ -203,15 +217,15 @@ class Cluster:
             while True:
                 del self._begun[number]
                 yield number, self._result(future)
-                future.release()
                 number, future = self._ended.get_nowait()
 
     def _result(self, future: Any) -> Result:
         """What became of a job, also where the cluster did not let it end."""
-        if future.status == "finished":
+        if future is not None and future.status == "finished":
             found: Result = future.result()
+            future.release()
             return found
-        if future.status != "error":
+        if future is None or future.status != "error":
             return failure(f"{self._address}: the scheduler is gone", ExitCode.OUTPUT)
         reason = future.exception()
         name = type(reason).__name__

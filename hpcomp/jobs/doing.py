@@ -128,8 +128,8 @@ def _receive(tasks: BinaryIO, waiting: queue.Queue[bytes | None], busy: threadin
         os.kill(os.getpid(), signal.SIGTERM)
 
 
-def main(temporary_prefix: str) -> None:
-    """Does the jobs that come through stdin, until it ends."""
+def main(temporary_prefix: str, patience_s: float | None) -> None:
+    """Does the jobs that come through stdin, until it ends, or none has come for so long."""
     outputfile.temporary_prefix = temporary_prefix
     signal.signal(signal.SIGTERM, _end)
     tasks, results = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
@@ -141,12 +141,12 @@ def main(temporary_prefix: str) -> None:
     busy = threading.Event()
     threading.Thread(target=_receive, args=(tasks, waiting, busy), daemon=True).start()
     try:
-        while (line := waiting.get()) is not None:
+        while (line := waiting.get(timeout=patience_s)) is not None:
             result = json.dumps(do_job(json.loads(line))).encode()
             busy.clear()
             results.write(result + b"\n")
             results.flush()
-    except BrokenPipeError:
+    except (BrokenPipeError, queue.Empty):
         pass  # nobody asks any more
     except SystemExit as end:
         os._exit(int(str(end.code)))

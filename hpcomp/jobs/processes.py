@@ -58,17 +58,22 @@ class JobProcess:
     """A process that does one job after another; its temporary files begin with `prefix`.
 
     `folder`: its working directory, and `environment`: beside this process's, where not the same.
+    `patience_s`: after so long without a job it ends, with exit code 0; None: never.
     Errors: `OSError` where there is no such folder.
     """
 
     def __init__(
-        self, prefix: str, folder: str | None = None, environment: Mapping[str, str] | None = None
+        self,
+        prefix: str,
+        folder: str | None = None,
+        environment: Mapping[str, str] | None = None,
+        patience_s: float | None = None,
     ) -> None:
         self.prefix = f"{prefix}{os.urandom(4).hex()}."
         paths = [os.path.abspath(path) for path in sys.path]
         code = (
             f"import sys; sys.path[:] = {paths!r}; "
-            f"from hpcomp.jobs.doing import main; main({self.prefix!r})"
+            f"from hpcomp.jobs.doing import main; main({self.prefix!r}, {patience_s!r})"
         )
         self.process = subprocess.Popen(
             [sys.executable, "-P", "-W", "ignore", "-c", code],
