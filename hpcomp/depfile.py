@@ -68,17 +68,21 @@ def rule(targets: Iterable[str], inputs: Iterable[str]) -> str:
     The empty ones let make go on where an input is no more: the target is made again. Names are
     escaped as both GNU make and ninja read them. Errors: `SettingError` for one that no rule can hold.
     """
-    read = list(dict.fromkeys(inputs))
+    read = [_escaped(path) for path in dict.fromkeys(inputs)]
     made = " ".join(map(_escaped_target, dict.fromkeys(targets)))
-    lines = [" \\\n  ".join([f"{made}:", *map(_escaped, read)])]
-    for path in read:
-        # With = in its first word make would take the line for an assignment.
-        lines.append(f"{made} {_escaped(path)}:" if "=" in path else f"{_escaped_target(path)}:")
-    return "\n\n".join(lines) + "\n"
+    first = " \\\n  ".join([f"{made}:", *read])
+    # An input with = has none: make would take the line for an assignment.
+    empty = [f"{_escaped_target(path)}:" for path in dict.fromkeys(inputs) if "=" not in path]
+    return "\n\n".join([first, *empty]) + "\n"
 
 
 def _escaped_target(path: str) -> str:
     """A target's % would make the rule one of patterns."""
+    if "=" in path:
+        raise SettingError(
+            f"make takes a rule for {path} for an assignment, because of its =: name another target "
+            "with --depfile-target"
+        )
     return _escaped(path).replace("%", "\\%")
 
 
