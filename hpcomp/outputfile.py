@@ -66,7 +66,8 @@ def whole_output(target: str, *, clobber: bool = True, if_changed: bool = False)
         except OSError as reason:
             raise OutputError(f"{label}: cannot be written: {why(reason)}") from None
     finally:
-        with contextlib.suppress(FileNotFoundError):
+        # Where there is none, a disk that is read-only says so instead.
+        with contextlib.suppress(OSError):
             os.unlink(temporary)
 
 

@@ -506,3 +506,104 @@ def test_killed_at_any_moment_it_is_resumed_to_the_same_bytes(desk):
         assert run.code == 0, run.stderr
         assert outputs(desk) == expected
         assert temporaries(desk) == []
+
+
+# ---- disks ---------------------------------------------------------------------------------------
+
+
+def on_a_disk(options, then=""):
+    """For `through`: a small file system of its own at disk/, which only the command sees.
+
+    Afterwards what it holds is copied to kept/.
+    """
+    script = f'mkdir disk kept; mount -t tmpfs {options} tmpfs disk; "$@"; code=$?; cp -a disk/. kept; exit $code'
+    return ["unshare", "--map-root-user", "--mount", "sh", "-c", script, "sh"]
+
+
+def test_a_full_disk_fails_the_jobs_that_it_does_not_hold(desk):
+    for number in range(3):
+        hpcomp.write_image(desk / f"l{number}.png", noise(number, (300, 300)))
+    tables = jobs(6, compression="0")
+    for job in tables:
+        job["output"] = f"disk/{job['output']}"
+    put_jobs(desk, tables)
+    run = desk.run("batch", "jobs.json", "-j", "2", "--log", "log", through=on_a_disk("-o size=1m"))
+    assert run.code == ExitCode.OUTPUT
+    told = records(desk)
+    made = {Path(r["outputs"][0]).name for r in told if r["status"] == "made"}
+    failed = [r for r in told if r["status"] == "failed"]
+    assert 1 <= len(made) <= 2  # of 360 kB each, and one is being written beside them
+    assert len(made) + len(failed) == 6
+    for record in failed:
+        assert "no space left on device" in record["error"]
+        assert record["exit_code"] == ExitCode.OUTPUT
+    assert {path.name for path in (desk / "kept").iterdir()} == made
+    # What is there is whole, and the next run makes the rest.
+    kept = {path.name: path.read_bytes() for path in (desk / "kept").iterdir()}
+    (desk / "disk").rmdir()
+    (desk / "kept").rename(desk / "disk")
+    assert desk.run("batch", "jobs.json", "--resume").code == 0
+    for name, data in kept.items():
+        assert (desk / "disk" / name).read_bytes() == data
+    assert len(list((desk / "disk").iterdir())) == 6
+
+
+def test_a_directory_that_is_read_only(desk):
+    tables = jobs(3)
+    tables[1]["output"] = "disk/out1.png"
+    put_jobs(desk, tables)
+    run = desk.run("batch", "jobs.json", "--log", "log", through=on_a_disk("-o ro"))
+    assert run.code == ExitCode.OUTPUT
+    (line,) = [line for line in run.lines if "error" in line]
+    assert "job 2 (disk/out1.png): disk/out1.png: cannot write in the directory disk: read-only" in line
+    assert sorted(outputs(desk)) == ["out0.png", "out2.png"]
+    run = desk.run("batch", "jobs.json", "--log", "disk/log", through=["sh", "-c", 'rm -r disk kept; exec "$@"', "sh", *on_a_disk("-o ro")])
+    assert run.code == ExitCode.OUTPUT
+    assert run.lines[-1].startswith("hpcomp: error: disk/log: ")
+
+
+def test_job_files_on_a_read_only_disk_are_done_without_a_state(desk):
+    script = 'mkdir disk; mount -t tmpfs tmpfs disk; cp jobs.json disk; mount -o remount,ro disk; exec "$@"'
+    through = ["unshare", "--map-root-user", "--mount", "sh", "-c", script, "sh"]
+    put_jobs(desk, jobs(1))
+    assert desk.run("batch", "disk/jobs.json", through=through).code == 0
+    assert list(outputs(desk)) == ["out0.png"]
+    (desk / "disk").rmdir()
+    run = desk.run("batch", "disk/jobs.json", "--update", through=through)
+    assert run.code == ExitCode.OUTPUT
+    assert "disk/.jobs.json.hpcomp-state" in run.lines[-1]
+
+
+def test_an_input_that_is_replaced_in_mid_run_is_never_mixed(desk):
+    """Each picture is of the old layer or of the new one, or its job failed; --update mends it."""
+    slow_jobs(desk, 6)
+    hpcomp.write_image(desk / "new.png", noise(9, (1500, 1200)))
+    pure = {}
+    for name in ("big.png", "new.png"):
+        os.link(desk / name, desk / "keep")
+        pure[name] = (desk / "keep").read_bytes()
+        (desk / "keep").unlink()
+    process = subprocess.Popen(
+        command("batch", "jobs.json", "--update", "--log", "log"), cwd=desk.folder, stderr=subprocess.PIPE
+    )
+    until(lambda: is_making(desk))
+    os.replace(desk / "new.png", desk / "big.png")
+    error = process.communicate(timeout=PATIENCE_S)[1].decode()
+    made = outputs(desk)
+    failed = [r for r in records(desk) if r["status"] == "failed"]
+    assert process.returncode == (3 if failed else 0), error
+    for record in failed:
+        assert "changed while it was read" in record["error"]
+    expected = {}
+    for state in ("big.png", "new.png"):
+        (desk / "big.png").write_bytes(pure[state])
+        assert desk.run("batch", "jobs.json", "-q", "--state", "other").code == 0
+        expected[state] = outputs(desk)
+    kinds = [state for name in made for state in expected if made[name] == expected[state][name]]
+    assert len(kinds) == len(made)
+    assert "new.png" in kinds  # it did happen in the midst of them
+    for name, data in made.items():
+        (desk / name).write_bytes(data)
+    run = desk.run("batch", "jobs.json", "--update")
+    assert run.code == 0, run.stderr
+    assert outputs(desk) == expected["new.png"]
