@@ -502,7 +502,7 @@ def test_the_completion_commands_of_readme_print_a_script(workplace, shell):
 
 # ---- links ---------------------------------------------------------------------------------------
 
-PAGES = ["README.md", "CHANGELOG.md", "samples/terrain/README.md"]
+PAGES = ["README.md", "CHANGELOG.md", "samples/COOKBOOK.md", "samples/terrain/README.md"]
 
 
 @pytest.mark.parametrize("page", PAGES)
