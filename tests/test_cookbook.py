@@ -12,6 +12,7 @@ import command
 import exrfile
 import numpy as np
 import pytest
+from PIL import Image
 
 import hpcomp
 
@@ -83,10 +84,9 @@ def layer(color, rows=(0, HEIGHT), columns=(0, WIDTH), alpha=1.0):
 
 
 def mask(rows, columns):
-    """White there and black around it, opaque."""
-    values = np.zeros((HEIGHT, WIDTH, 4), np.float32)
-    values[..., 3] = 1
-    values[slice(*rows), slice(*columns), :3] = 1
+    """White there and black around it: what is written as a grey PNG."""
+    values = np.zeros((HEIGHT, WIDTH), np.uint8)
+    values[slice(*rows), slice(*columns)] = 255
     return values
 
 
@@ -116,7 +116,10 @@ def pantry(tmp_path_factory):
     folder = tmp_path_factory.mktemp("pantry")
     (folder / "overlays").mkdir()
     for name, pixels in INPUTS.items():
-        hpcomp.write_image(folder / name, pixels)
+        if pixels.ndim == 2:
+            Image.fromarray(pixels).save(folder / name)
+        else:
+            hpcomp.write_image(folder / name, pixels)
     (folder / "fg.0002.exr").touch()  # and 5 is missing
     label = layer(BLUE, rows=(200, 440), columns=(100, 500), alpha=0.6)
     channels = dict(zip("RGB", 3 * [np.full((HEIGHT, WIDTH), 0.2)], strict=True))

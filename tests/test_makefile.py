@@ -293,7 +293,7 @@ def test_the_paper_is_built_and_cleaned_with_the_rest(
 
 # ---- interrupted ---------------------------------------------------------------------------------
 
-#: When a run is stopped: as soon as there is one more file like this in the folder of figures.
+#: When a run is stopped: as soon as a file like this in the folder of figures is new or changes.
 MOMENTS = (".hpcomp.*", "*.png.d", "*.png", "report.html", "hues.png.d")
 
 
@@ -302,7 +302,7 @@ def stopped(folder, pattern, signal_number):
     out = folder / "terrain" / "out"
 
     def seen():
-        return {(p.name, p.lstat().st_ino) for p in out.glob(pattern)}
+        return {(p.name, p.lstat().st_ino, p.lstat().st_mtime_ns) for p in out.glob(pattern)}
 
     before = seen() if out.exists() else set()
     process = subprocess.Popen(
