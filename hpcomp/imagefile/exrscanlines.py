@@ -25,10 +25,12 @@ from .packing import UNPACKS, exr_packed, exr_plain, exr_unpacked
 from .rawfile import RawFile
 from .segments import SegmentWriter
 
-_MAGIC = b"v/1\x01"
-_VERSION = 2
+MAGIC = b"v/1\x01"
+VERSION = 2
+#: Where the first header begins.
+HEADER_AT = 8
 #: The only flag beside the version that a plain file may have: names of up to 255 characters.
-_LONG_NAMES = 0x400
+LONG_NAMES = 0x400
 #: No header of a plain file is longer.
 _HEADER_BYTES = 1 << 16
 #: The attributes that every header must have, and their types.
@@ -90,10 +92,10 @@ def _parsed(file: BinaryIO) -> ExrLayout:
     """The layout; `ValueError`, or what a damaged header leads to, for any other file."""
     head = file.read(_HEADER_BYTES)
     magic, version = struct.unpack_from("<4sI", head)
-    types, values, end = _attributes(head)
+    types, values, end = attributes(head, HEADER_AT)
     if (
-        magic != _MAGIC
-        or version & ~_LONG_NAMES != _VERSION
+        magic != MAGIC
+        or version & ~LONG_NAMES != VERSION
         or not _ATTRIBUTES.items() <= types.items()
     ):
         raise ValueError("not one part of rows")
@@ -103,7 +105,7 @@ def _parsed(file: BinaryIO) -> ExrLayout:
         raise ValueError("no pixels")
     (compression,) = values[b"compression"]
     block_rows = dict(COMPRESSIONS.values())[compression]
-    channels, row_bytes = _planes(values[b"channels"], window.width)
+    channels, row_bytes = planes_of(values[b"channels"], window.width)
     return ExrLayout(
         channels,
         row_bytes,
@@ -114,11 +116,10 @@ def _parsed(file: BinaryIO) -> ExrLayout:
     )
 
 
-def _attributes(head: bytes) -> tuple[dict[bytes, bytes], dict[bytes, bytes], int]:
-    """The types and values of a header's attributes by name, and where the header ends."""
+def attributes(head: bytes, at: int) -> tuple[dict[bytes, bytes], dict[bytes, bytes], int]:
+    """The types and values of the attributes of a header at `at`, by name, and where it ends."""
     types: dict[bytes, bytes] = {}
     values: dict[bytes, bytes] = {}
-    at = 8
     while head[at]:
         name_end = head.index(0, at)
         type_end = head.index(0, name_end + 1)
@@ -146,7 +147,7 @@ def _offsets(file: BinaryIO, at: int, blocks: int) -> Sequence[int]:
     return offsets
 
 
-def _planes(channels: bytes, width: int) -> tuple[dict[str, tuple[str, int]], int]:
+def planes_of(channels: bytes, width: int) -> tuple[dict[str, tuple[str, int]], int]:
     """The planes of a row by channel, and its bytes.
 
     `ValueError` where channels are subsampled, or not sorted: OpenEXR sorts them, and their planes.
@@ -253,7 +254,7 @@ class ExrScanlineWriter(SegmentWriter[bytes]):
         super().__init__(path, label, window.height, block_rows)
         self._deflates = form.compression != "none"
         self._next_row = window.y
-        header = _MAGIC + struct.pack("<I", _VERSION) + _header(form, number)
+        header = MAGIC + struct.pack("<I", VERSION) + _header(form, number)
         self._table_at = len(header)
         self._offsets: list[int] = []
         blocks = -(-window.height // block_rows)

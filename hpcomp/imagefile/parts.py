@@ -139,9 +139,12 @@ def choose(
     part: str | None = None,
     layer: str | None = None,
     mask: bool = False,
+    deep: bool = False,
     label: str | None = None,
 ) -> tuple[Part, ColorGroup]:
     """The one colour that `part` (name or index) and `layer` name, or the only one there is.
+
+    Of flat parts, or of `deep` ones, where its alpha may be that of an enclosing layer.
 
     Without `layer` the default RGBA goes before named layers. Where a `mask` is wanted and there is
     no such colour, an alpha or a single channel will do; `layer` may be its name. Errors:
@@ -154,10 +157,14 @@ def choose(
         if not parts:
             there_is = ", ".join(_part_name(p) for p in file.parts)
             raise InputError(f"{label}: there is no part '{part}': choose part= one of {there_is}")
-    flat = [p for p in parts if not p.deep]
+    flat = [p for p in parts if p.deep == deep]
+    if not flat and deep:
+        raise InputError(
+            f"{label} is flat, with one value a pixel and channel: composite it with hpcomp stack"
+        )
     if not flat:
         raise InputError(
-            f"{label} is a deep EXR: flatten it first, with oiiotool --flatten for example"
+            f"{label} is a deep EXR, with many samples a pixel: flatten it with hpcomp flatten"
         )
     colors = [(p, group) for p in flat for group in p.groups]
     channels = ", ".join(c.name for p in flat for c in p.channels)
@@ -176,6 +183,7 @@ def choose(
     if not named:
         what_next = (
             "choose the mask with layer=" if mask
+            else "R, G and B or Y are needed" if deep
             else "R, G, B or Y is needed, or tint= to colour a mask"
         )  # fmt: skip
         raise InputError(f"{label} has no colour, only {channels}: {what_next}")
@@ -191,6 +199,40 @@ def choose(
             + ", ".join(dict.fromkeys(names))
         )
     return named[0]
+
+
+#: Alphas of one colour each, by both spellings that were ever recommended.
+_ALPHAS_OF_COLORS = ("AR", "AG", "AB", "RA", "GA", "BA")
+
+
+def deep_alpha(part: Part, group: ColorGroup, label: str) -> Channel:
+    """The alpha of a deep colour: of its layer, or of the nearest that encloses it.
+
+    Errors: `InputError` where there is none, or one for each colour. OpenEXR: Interpreting Deep
+    Pixels, Required Alpha Channels.
+    """
+    channels = {channel.name: channel for channel in part.channels}
+    layer = group.layer
+    while True:
+        prefix = f"{layer}." if layer else ""
+        several = [prefix + name for name in _ALPHAS_OF_COLORS if prefix + name in channels]
+        if several:
+            raise InputError(
+                f"{label} has an alpha for each colour, {', '.join(several)}, which would give "
+                "every depth three weights: replace them by one A first"
+            )
+        found = channels.get(f"{prefix}A")
+        if group.alpha is not None and layer == group.layer:
+            found = group.alpha
+        if found is not None:
+            return found
+        if not layer:
+            there_is = ", ".join(channels)
+            raise InputError(
+                f"{label} has no alpha A, which says how much a sample hides of what is behind it, "
+                f"only {there_is}: write it with an A"
+            )
+        layer = layer.rpartition(".")[0]
 
 
 def _part_name(part: Part) -> str:

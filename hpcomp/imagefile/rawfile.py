@@ -29,6 +29,11 @@ class RawFile:
         self._path, self._identity, self._label = path, identity, label
         self._descriptor: int | None = None
 
+    @property
+    def size(self) -> int:
+        """The bytes of the file."""
+        return self._identity[2]
+
     def close(self) -> None:
         if self._descriptor is not None:
             os.close(self._descriptor)
@@ -37,7 +42,7 @@ class RawFile:
     def bytes_at(self, offset: int, size: int) -> bytes:
         """`size` bytes from `offset` on; where the file ends before, an error says so."""
         try:
-            descriptor, file_bytes = self._opened(), self._identity[2]
+            descriptor, file_bytes = self._opened(), self.size
             # What a damaged file asks for in vain is not even reserved.
             data = os.pread(descriptor, size, offset) if offset + size <= file_bytes else b""
         except OSError as reason:

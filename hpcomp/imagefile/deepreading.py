@@ -1,0 +1,155 @@
+"""One deep image of a file: its samples, strip by strip, as linear colours and depths."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..deepsamples import DeepSamples
+from ..encoding import Primaries, color_space
+from ..errors import InputError, MismatchError, unknown_name
+from ..geometry import Window
+from ..samples import Decoding, decode
+from .deepchunks import DeepChunks, layout_of
+from .parts import ColorGroup, ImageFile, Part, deep_alpha
+from .rawfile import RawFile
+from .reading import NONFINITE_POLICIES
+
+FRONT = "Z"
+#: As OpenEXR spells it, and as OpenImageIO did.
+BACKS = ("ZBack", "Zback")
+
+
+class DeepReader:
+    """A deep image of a file, read by rows in any order, by any number of threads at a time.
+
+    `alpha` is one of `encoding.ALPHA_MODES` or None for premultiplied; `colorspace` a name of
+    `encoding.COLOR_SPACES` or None for what the file says; `nonfinite` a policy on NaN and Inf:
+    `error`, `zero` (such a sample is left out), `keep`. `label` names it in errors.
+    Errors: `SettingError`, `InputError`, also for an image without depth or alpha.
+    """
+
+    def __init__(
+        self,
+        file: ImageFile,
+        part: Part,
+        group: ColorGroup,
+        *,
+        alpha: str | None = None,
+        colorspace: str | None = None,
+        nonfinite: str = "error",
+        label: str | None = None,
+    ) -> None:
+        if nonfinite not in NONFINITE_POLICIES:
+            raise unknown_name("nonfinite policy", nonfinite, NONFINITE_POLICIES)
+        self.part, self.nonfinite = part, nonfinite
+        self.label = label or file.path
+        if part.refusal and not colorspace:
+            raise InputError(f"{self.label}: {part.refusal}")
+        self.problems = () if colorspace else part.problems
+        self.decoding = Decoding(
+            color_space(colorspace) if colorspace else part.encoding,
+            alpha or file.alpha_mode,
+            stored_straight=False,
+        )
+        names = [channel.name for channel in part.channels]
+        self._color = [c.name for c in (*group.color, deep_alpha(part, group, self.label))]
+        if FRONT not in names:
+            raise InputError(
+                f"{self.label} has no depth {FRONT}, only {', '.join(names)}: "
+                "deep data need one to be sorted by"
+            )
+        self._depth = [FRONT, *[name for name in BACKS if name in names][:1]]
+        raw = RawFile(file.path, file.identity, self.label)
+        layout = layout_of(raw, part.index, self.label)
+        if layout.window != part.data_window:
+            raise InputError(f"{self.label}: cannot be read: its headers contradict each other")
+        self._chunks = DeepChunks(raw, layout, [*self._color, *self._depth], self.label)
+
+    @property
+    def window(self) -> Window:
+        """The pixels that there are, in the file's own coordinates."""
+        return self.part.data_window
+
+    @property
+    def rows_at_once(self) -> int:
+        """Rows that are stored together."""
+        return self._chunks.layout.chunk_rows
+
+    @property
+    def has_volumes(self) -> bool:
+        """Whether samples may have a length."""
+        return len(self._depth) > 1
+
+    @property
+    def bytes_held(self) -> int:
+        """Memory of the table of chunks, and of how many samples each row has."""
+        layout = self._chunks.layout
+        return layout.offsets.nbytes + 8 * layout.window.height
+
+    def work_in(self, primaries: Primaries) -> None:
+        """Decodes into these primaries from now on, instead of into Rec. 709."""
+        self.decoding = replace(self.decoding, working=primaries)
+
+    def close(self) -> None:
+        self._chunks.close()
+
+    def row_samples(self) -> tuple[NDArray[np.int64], int]:
+        """How many samples each row has, and the bytes of the largest chunk; see `DeepChunks`."""
+        return self._chunks.row_samples()
+
+    def read(self, begin: int, end: int) -> tuple[DeepSamples, int]:
+        """Rows `begin` to `end` in the file's coordinates, and how many samples were left out.
+
+        Errors: `InputError`; `MismatchError` for NaN and Inf where the policy refuses them.
+        """
+        counts, front, back, stored = self._stored(begin, end)
+        broken = _broken(front, back, stored)
+        left_out = 0
+        if broken.any():
+            if self.nonfinite == "error":
+                raise self._nonfinite_error(begin)
+            if self.nonfinite == "zero":
+                left_out = int(broken.sum())
+                pixel = np.repeat(np.arange(counts.size), counts)[broken]
+                counts = counts - np.bincount(pixel, minlength=counts.size)
+                front, back, stored = front[~broken], back[~broken], stored[~broken]
+            else:
+                # Kept all the same, and somewhere they have to be: behind all others.
+                front = np.where(np.isnan(front), np.float32(np.inf), front)
+                back = np.where(np.isnan(back), front, back)
+        rgba = decode(stored[None], self.decoding)[0]
+        return DeepSamples(counts, front, back, rgba), left_out
+
+    def _stored(self, begin: int, end: int) -> tuple[NDArray[np.int64], Any, Any, Any]:
+        """Counts (pixels), front and back (n), and colour and alpha (n, channels) as stored."""
+        counts, planes = self._chunks.read(begin, end)
+        front = planes[self._depth[0]]
+        stored = np.stack([planes[name] for name in self._color], axis=-1)
+        return counts.ravel(), front, planes[self._depth[-1]], stored
+
+    def _nonfinite_error(self, begin: int) -> MismatchError:
+        """Says where the first such sample is and how many there are, from row `begin` on."""
+        count, first = 0, ""
+        for row in range(begin, self.window.bottom):
+            counts, *samples = self._stored(row, row + 1)
+            broken = np.flatnonzero(_broken(*samples))
+            if len(broken) and not count:
+                column = np.searchsorted(np.cumsum(counts), broken[0], side="right")
+                first = f"{self.window.x + column},{row}"
+            count += len(broken)
+        samples_are = "1 sample is" if count == 1 else f"{count} samples are"
+        return MismatchError(
+            f"{self.label}: {samples_are} NaN or infinite, the first in pixel {first}: "
+            "--nonfinite zero or keep lets them pass"
+        )
+
+
+def _broken(front: Any, back: Any, stored: Any) -> NDArray[np.bool_]:
+    """Samples with NaN, or an infinite colour or alpha; infinitely far is a depth like others."""
+    broken: NDArray[np.bool_] = ~np.isfinite(stored).all(axis=-1)
+    broken |= np.isnan(front) | np.isnan(back)
+    return broken
