@@ -8,6 +8,7 @@ Chuang, Weiskopf, Möller: Hue-Preserving Color Blending, IEEE TVCG 15(6), 2009.
     hue_histogram     pixels (…, 4) -> how many have which hue
     stack_measures    what compositing arrays does to their hues, in numbers
     stack             layer files -> one file, as `hpcomp stack`
+    flatten           deep files -> one flat file, as `hpcomp flatten`
     read_layer        one layer of a file -> pixels and windows
     write_image       pixels -> a file
     info              what a file holds and how it will be read
@@ -46,6 +47,7 @@ if TYPE_CHECKING:
     from .errors import SettingError as SettingError
     from .explanation import PixelExplanation as PixelExplanation
     from .explanation import explain as explain
+    from .flattening import flatten as flatten
     from .geometry import Window as Window
     from .histogram import HueHistogram as HueHistogram
     from .histogram import hue_histogram as hue_histogram
@@ -95,6 +97,7 @@ _HOME = {
     "SettingError": ".errors",
     "PixelExplanation": ".explanation",
     "explain": ".explanation",
+    "flatten": ".flattening",
     "frame_jobs": ".jobs.frames",
     "Window": ".geometry",
     "HueHistogram": ".histogram",

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from .compositing import StackRules
 from .encoding import LARGEST_HALF, Losses
 from .errors import HpcompWarning, InputError, InputWarning, MismatchError, one_line
-from .imagefile import LayerReader
+from .imagefile import DeepReader, LayerReader
 
 
 class Notices:
@@ -41,7 +41,7 @@ def warn_of_layers(rules: StackRules, readers: Sequence[LayerReader], notices: N
             )
 
 
-def warn_of_problems(reader: LayerReader, notices: Notices) -> None:
+def warn_of_problems(reader: LayerReader | DeepReader, notices: Notices) -> None:
     for problem in reader.problems:
         notices.warn(f"{reader.label}: {problem}; read as {reader.decoding.encoding}", InputWarning)
 

@@ -54,7 +54,7 @@ log = logging.getLogger("hpcomp")
 
 @dataclass(frozen=True)
 class StackResult:
-    """What `stack` wrote: the file, its windows, what the file could not hold, and findings."""
+    """What `stack` or `flatten` wrote: the file, its windows, what it cannot hold, findings."""
 
     output: str
     canvas: Window

@@ -192,7 +192,8 @@ def noise(
     planes = {name: (rng.random(total) * alpha).astype(color) for name in "RGB"}
     planes["A"] = alpha.astype(color)
     if tidy:
-        within = np.concatenate([np.arange(n) for n in counts.ravel()]) if total else np.empty(0)
+        starts = np.cumsum(counts) - counts.ravel()
+        within = np.arange(total) - np.repeat(starts, counts.ravel())
         front = 1 + 2 * within + rng.integers(0, 2, total) / 2
         back = front + rng.integers(0, 3, total) / 2
     else:

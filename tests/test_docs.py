@@ -13,6 +13,7 @@ import sys
 from pathlib import Path
 
 import click
+import deepfile
 import exrfile
 import numpy as np
 import pytest
@@ -402,6 +403,10 @@ def workplace(tmp_path, monkeypatch):
         hpcomp.write_image(name, pixels)
     channels = ["R", "G", "B", "diffuse.R", "diffuse.G", "diffuse.B"]
     exrfile.write(tmp_path / "render.exr", exrfile.planes(channels, SIZE[1], SIZE[0]))
+    smoke, bones = (deepfile.noise(SIZE[1], SIZE[0], tidy=False, seed=seed) for seed in (1, 2))
+    glow = {f"glow.{name}": smoke.planes[name] for name in "RGB"}
+    deepfile.write(tmp_path / "smoke.exr", deepfile.Deep(smoke.counts, {**smoke.planes, **glow}))
+    deepfile.write(tmp_path / "bones.exr", bones)
     return tmp_path
 
 
@@ -556,6 +561,9 @@ STATEMENTS = {
               "MismatchError", "OutputError", "Warnings:", "Returns:", "`report`", "`provenance`",
               "`foreign_tolerance`", "degrees", "`achromatic`", "[0, 1]", "`energy_weights`", "`bins`",
               "Chuang et al. 2009", "Porter and Duff 1984"],
+    "flatten": ["`images`", "`output`", "deep EXR", "`canvas`", "`order`", "`nonfinite`", "Returns:",
+                "Errors:", "SettingError", "InputError", "MismatchError", "OutputError", "Warnings:",
+                "Chuang et al. 2009", "Interpreting Deep Pixels"],
     "read_layer": ["`path`", "`nonfinite`", "(height, width, 4)", "float32", "linear Rec. 709",
                    "premultiplied", "Returns:", "Errors:", "Warnings:"],
     "write_image": ["`pixels`", "(height, width, 4)", "linear Rec. 709", "premultiplied",
@@ -636,6 +644,16 @@ def test_stack_takes_the_options_of_the_command_under_their_names():
             assert parameter.default is None, name
 
 
+def test_flatten_takes_the_options_of_its_command_and_defaults_of_stack():
+    command, _ = TREE["hpcomp flatten"]
+    options = {p.name for p in command.params if isinstance(p, click.Option) and p.expose_value}
+    parameters = inspect.signature(hpcomp.flatten).parameters
+    assert options == set(parameters) - {"images"}
+    of_stack = inspect.signature(hpcomp.stack).parameters
+    for name in options:
+        assert parameters[name].default == of_stack[name].default, name
+
+
 @pytest.mark.parametrize("name", CLASSES)
 def test_docstring_of_a_class_is_its_own_sentence(name):
     documentation = vars(getattr(hpcomp, name)).get("__doc__") or ""
@@ -704,6 +722,10 @@ def overlay(base: Path, labels: Path, output: Path) -> hpcomp.Window:
     return result.canvas
 
 
+def flat(path: Path) -> hpcomp.Window:
+    return hpcomp.flatten([path, "b.exr"], Path("out.exr"), order="top-down").canvas
+
+
 def darker(path: str) -> hpcomp.Losses:
     layer = hpcomp.read_layer(path, part=0)
     return hpcomp.write_image("darker.exr", layer.pixels / 2, data_window=layer.data_window)
@@ -728,6 +750,7 @@ hpcomp.write_palette_report(palette, Path("palette.svg"), figure="discs")
 
 # Each of these is wrong, and a checker that saw no types would call the comment unused.
 hpcomp.stack([red], "out.png")  # type: ignore[list-item]
+hpcomp.flatten("a.exr", "b.exr", order=[1, 0])  # type: ignore[arg-type]
 hpcomp.read_layer(3)  # type: ignore[arg-type]
 hpcomp.hue_add(red, red, tolerance=1)  # type: ignore[call-arg]
 hpcomp.missing  # type: ignore[attr-defined]

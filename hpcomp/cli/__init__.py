@@ -16,6 +16,7 @@ from .messages import keep_libraries_off_stderr, open_standard_streams, say
 COMMANDS: dict[str, tuple[str, str]] = {
     "stack": ("stack", "Composite layers, bottom first, into one picture."),
     "batch": ("batch", "Make many stacks, several at a time."),
+    "flatten": ("flatten", "Composite the samples of deep EXR files into one flat picture."),
     "explain": ("explain", "Say step by step how one pixel of a stack comes about."),
     "check": ("check", "Fail if a picture has lost the hues of its layers."),
     "info": ("info", "Say what image files hold and how they will be read."),

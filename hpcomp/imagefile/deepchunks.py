@@ -211,6 +211,7 @@ class DeepChunks:
         size = int(totals.sum()) * layout.sample_bytes
         data = self._unpacked(chunk.packed_at, chunk.packed_bytes, size, chunk.window)
         ends = np.cumsum(totals)
+        whole = begin <= chunk.window.y and chunk.window.bottom <= end
         for number, (total, stop) in enumerate(zip(totals.tolist(), ends.tolist(), strict=True)):
             row = chunk.window.y + number
             if not begin <= row < end:
@@ -219,7 +220,9 @@ class DeepChunks:
             found = []
             for name in self._names:
                 kind, offset = layout.channels[name]
-                found.append(np.frombuffer(data, _DTYPES[kind], total, at + total * offset))
+                piece = np.frombuffer(data, _DTYPES[kind], total, at + total * offset)
+                # A piece keeps its whole chunk in memory, of which it may be a small part.
+                found.append(piece if whole else piece.copy())
             yield row, found
 
     def _chunk(self, number: int) -> DeepChunk:

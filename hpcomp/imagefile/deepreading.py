@@ -90,6 +90,12 @@ class DeepReader:
         layout = self._chunks.layout
         return layout.offsets.nbytes + 8 * layout.window.height
 
+    @property
+    def bytes_to_count(self) -> int:
+        """Memory of how many samples each pixel has of what is stored together: packed to sums."""
+        width, height = self._chunks.layout.tile or (self.window.width, 1)
+        return 32 * width * height
+
     def work_in(self, primaries: Primaries) -> None:
         """Decodes into these primaries from now on, instead of into Rec. 709."""
         self.decoding = replace(self.decoding, working=primaries)

@@ -1,0 +1,121 @@
+"""`hpcomp flatten`: parses, calls `flattening.flatten`, prints nothing of its own."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import click
+
+from ..encoding import OUT_PRIMARIES
+from ..orders import ORDERS
+from .options import LayerCommand, message_options
+from .signals import load
+from .stackoptions import stack_options
+
+FLATTEN_HELP = """Composite the samples of deep EXR files into one flat picture.
+
+A deep EXR has many samples along each viewing ray. They are sorted by depth, and split where they
+overlap, as OpenEXR's document on deep pixels says; then those of a pixel are a stack with `over`,
+the farthest being the bottom. The samples of several files are taken together: which is in front
+is for their depths alone to say. What lies in one place is added first, all at once, so that the
+order of files and samples does not matter.
+
+IMAGE is a deep EXR file, scanlines or tiles, with channels Z and A, and ZBack where it has volumes,
+in the LAYER syntax of stack; `-` reads stdin. Keys:
+
+\b
+  part=NAME        a part of a multi-part EXR, by name or index
+  layer=NAME       channels NAME.R, NAME.G, NAME.B; without a NAME.A, with the A around it
+  at=PLACE         +X+Y, or a gravity: center, north-west, south+0-10 …
+  alpha=MODE       straight, premultiplied, premultiplied-encoded, luminance
+  colorspace=NAME  overrides what the file says: linear, acescg …
+  name=TEXT        what messages call the file
+
+\b
+  hpcomp flatten smoke.exr -o smoke.png
+  hpcomp flatten smoke.exr bones.exr --order top-down -o both.exr
+  hpcomp flatten 'smoke.exr::layer=glow' --background '#000000' -o glow.png
+  cat smoke.exr | hpcomp flatten - -o - --format png > smoke.png
+"""
+
+
+@click.command(
+    "flatten", cls=LayerCommand, help=FLATTEN_HELP, short_help=FLATTEN_HELP.partition("\n")[0]
+)
+@click.argument(
+    "images", metavar="IMAGE...", nargs=-1, required=True, type=click.Path(readable=False)
+)
+@click.option(
+    "-o",
+    "--output",
+    required=True,
+    metavar="PATH",
+    type=click.Path(readable=False),
+    help="Write here: a path ending in .png or .exr, or - for stdout with --format.",
+)
+@click.option(
+    "--format",
+    type=click.Choice(["png", "exr"]),
+    help="Format of an output without an ending.",
+)
+@stack_options("blending")
+@click.option(
+    "--order",
+    default="bottom-up",
+    show_default=True,
+    metavar="ORDER",
+    help=f"In which order the samples' colours are added: {', '.join(ORDERS)}. The bottom is the "
+    "farthest.",
+)
+@stack_options("space", "primaries", "hue_tolerance", "gray_bias")
+@click.option(
+    "--depth",
+    type=click.Choice(["8", "16", "half", "float"]),
+    help="PNG: 8 (default), 16. EXR: half (default), float.",
+)
+@click.option(
+    "--compression",
+    metavar="NAME",
+    help="PNG: fast (default), small, 0…9. EXR: zip (default), none, rle, zips, piz, pxr24, b44, "
+    "b44a, dwaa, dwab, htj2k256, htj2k32.",
+)
+@click.option(
+    "--out-primaries",
+    type=click.Choice(OUT_PRIMARIES),
+    help="PNG: write it in these primaries instead of rec709, on the curve of sRGB. An EXR is "
+    "written in those of --primaries.",
+)
+@stack_options("exposure")
+@click.option("--region", metavar="WxH+X+Y", help="Make only this part of the canvas.")
+@click.option(
+    "--clobber/--no-clobber",
+    default=True,
+    show_default=True,
+    help="Replace an existing output.",
+)
+@stack_options("canvas", "overscan", "background")
+@click.option(
+    "--nonfinite",
+    type=click.Choice(["error", "zero", "keep"]),
+    default="error",
+    show_default=True,
+    help="NaN, and infinite colours or alphas: error (refuse them), zero (such a sample is left "
+    "out), keep (one whose depth is NaN is behind all others).",
+)
+@stack_options("strict")
+@click.option(
+    "--threads",
+    type=click.IntRange(min=1),
+    metavar="N",
+    help="Threads to use: all cores if not given.",
+)
+@click.option(
+    "--max-memory",
+    default="1G",
+    show_default=True,
+    metavar="SIZE",
+    help="Memory for samples, pixels and codecs, such as 512M.",
+)
+@message_options
+def command(images: tuple[str, ...], output: str, **options: Any) -> None:
+    load("hpcomp.flattening").flatten(images, output, **options)
