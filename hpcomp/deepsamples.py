@@ -99,7 +99,7 @@ def tidied(samples: DeepSamples, merge: Merge) -> tuple[Ints, Floats]:
     keep = np.flatnonzero(found)[~split]
     result[keep + shift[pixel[keep]]] = rgba[~split]
     for pixels, colors in pieces:
-        _, first, lengths = np.unique(pixels, return_index=True, return_counts=True)
+        first, lengths = _runs(pixels)
         within = np.arange(len(pixels)) - np.repeat(first, lengths)
         result[begin[pixels] + within] = colors
         begin[pixels[first]] += lengths
@@ -235,12 +235,19 @@ def _pieces(
                 front[sample[parts]].astype(float),
                 back[sample[parts]].astype(float),
             )
-            runs, lengths = np.unique(of_cell, return_counts=True)
+            first_of_run, lengths = _runs(of_cell)
             weights = _weights(lengths, share, density[sample], rgba[sample, 3])
             weighted = (rgba[sample] * weights[:, None]).astype(np.float32)
-            found.append((pixel_of_mark[runs // 2], _one_each(lengths, weighted, merge)))
+            pixels = pixel_of_mark[of_cell[first_of_run] // 2]
+            found.append((pixels, _one_each(lengths, weighted, merge)))
         begin = end
     return found
+
+
+def _runs(numbers: Ints) -> tuple[Ints, Ints]:
+    """Where runs of equal numbers begin, and how long each is."""
+    begin = np.flatnonzero(np.append(True, numbers[1:] != numbers[:-1]))
+    return begin, np.diff(begin, append=len(numbers))
 
 
 def _one_each(lengths: Ints, rgba: Floats, merge: Merge) -> Floats:
