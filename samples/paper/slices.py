@@ -1,0 +1,206 @@
+"""Looks at a phantom and writes what the viewing rays meet: RGBA slices, half-float EXR.
+
+    python slices.py VOLUME SIZE SLICES DIRECTORY
+
+writes SLICES files of SIZE x SIZE pixels, 000.exr in front. A 1D transfer function gives every
+data value a colour, which is that of one label, and an opacity; the gradient shades it. Light only
+scales a colour or adds white, so that a slice has no hues but those of the labels. Nothing is
+composited here: hpcomp does that, from the back slice to the front one. Running twice gives the
+same bytes.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import OpenEXR
+from phantoms import PHANTOMS
+
+
+@dataclass(frozen=True)
+class Material:
+    """A label: its sRGB colour, the data values that it stands for, its extinction per unit."""
+
+    name: str
+    color: str
+    low: float
+    high: float
+    extinction: float
+
+
+@dataclass(frozen=True)
+class Volume:
+    """A phantom, its transfer function, and from where it is seen.
+
+    `turn`, `nod`: degrees about the vertical and then about the horizontal axis. `depth`: the rays
+    are sampled where |z| is less, z being 0 in the middle.
+    """
+
+    phantom: str
+    materials: tuple[Material, ...]
+    turn: float
+    nod: float
+    depth: float
+
+
+# fmt: off
+TOMATO = (
+    Material("peel",    "#e6001e", 0.15, 0.42, 3.6),
+    Material("flesh",   "#ff8000", 0.47, 0.68, 2.0),
+    Material("seeds",   "#ffe600", 0.70, 1.00, 60.0),
+)
+TOOTH = (
+    Material("enamel",  "#ffd800", 0.15, 0.42, 1.5),
+    Material("dentine", "#f00028", 0.45, 0.68, 2.0),
+    Material("pulp",    "#0038ff", 0.70, 1.00, 30.0),
+)
+FISH = (
+    Material("flesh",   "#ff0022", 0.15, 0.60, 1.5),
+    Material("bones",   "#ffa000", 0.62, 1.00, 30.0),
+)
+PIGGY_BANK = (
+    Material("pig",     "#a01eff", 0.15, 0.50, 2.4),
+    Material("coins",   "#1450ff", 0.60, 1.00, 60.0),
+)
+CHEST = (
+    Material("flesh",   "#0000ff", 0.15, 0.60, 2.3),
+    Material("bones",   "#ffff00", 0.62, 1.00, 30.0),
+)
+FROG = (
+    Material("flesh",   "#ff0000", 0.15, 0.60, 2.0),
+    Material("brain",   "#00ff00", 0.62, 1.00, 20.0),
+)
+# fmt: on
+# All three of one luminance; they take about half the energy of those above.
+ENERGY = ("#3c6ec8", "#ad5560", "#517c00")
+
+VOLUMES = {
+    "tomato": Volume("tomato", TOMATO, turn=10, nod=28, depth=0.86),
+    "tooth": Volume("tooth", TOOTH, turn=28, nod=8, depth=0.62),
+    "fish": Volume("fish", FISH, turn=-24, nod=-8, depth=0.62),
+    "piggy-bank": Volume("piggy-bank", PIGGY_BANK, turn=-28, nod=12, depth=0.80),
+    "chest-opposite": Volume("chest", CHEST, turn=16, nod=4, depth=0.62),
+    "chest-cyan": Volume(
+        "chest", (replace(CHEST[0], color="#00c8ff"), CHEST[1]), turn=16, nod=4, depth=0.62
+    ),
+    "frog-flesh": Volume("frog", FROG[:1], turn=0, nod=12, depth=0.55),
+    "frog-brain": Volume("frog", FROG[1:], turn=0, nod=12, depth=0.55),
+    "tooth-energy": Volume(
+        "tooth",
+        tuple(replace(m, color=c) for m, c in zip(TOOTH, ENERGY, strict=True)),
+        turn=28,
+        nod=8,
+        depth=0.62,
+    ),
+}
+
+LIGHT = np.array([-0.45, -0.60, -0.66])  # from the upper left, in front
+TO_VIEWER = np.array([0, 0, -1])
+AMBIENT, DIFFUSE, SHINE, SHININESS = 0.35, 0.65, 0.30, 28
+FLAT = 3.0  # gradients below this, in data values per unit, do not say where a surface faces
+TRANSPARENT = 1 / 2048  # opacities below this are left out: files stay small
+
+
+def linear_rgb(color: str) -> np.ndarray:
+    """A CSS colour, #rrggbb, as linear light 0-1 (3,). IEC 61966-2-1."""
+    encoded = np.array([int(color[i : i + 2], 16) for i in (1, 3, 5)]) / 255
+    return np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
+
+
+def rotation(turn: float, nod: float) -> np.ndarray:
+    """Object from view coordinates."""
+    (st, ct), (sn, cn) = ((np.sin(a), np.cos(a)) for a in np.radians([turn, nod]))
+    about_vertical = np.array([[ct, 0, st], [0, 1, 0], [-st, 0, ct]])
+    about_horizontal = np.array([[1, 0, 0], [0, cn, -sn], [0, sn, cn]])
+    return about_vertical @ about_horizontal
+
+
+def fields(volume: Volume, size: int, slices: int) -> Iterator[np.ndarray]:
+    """Data values (size, size) float32, from in front of the first slice to behind the last."""
+    turned = rotation(volume.turn, volume.nod).astype(np.float32)
+    right = ((np.arange(size, dtype=np.float32) + 0.5) * 2 / size - 1)[None, :]
+    down = right.T
+    for k in range(-1, slices + 1):
+        away = np.float32(((k + 0.5) * 2 / slices - 1) * volume.depth)
+        x, y, z = (
+            np.ascontiguousarray(np.broadcast_to(row[0] * right + row[1] * down + row[2] * away,
+                                                 (size, size)))
+            for row in turned
+        )  # fmt: skip
+        yield PHANTOMS[volume.phantom](x, y, z).astype(np.float32)
+
+
+def shading(before: np.ndarray, here: np.ndarray, after: np.ndarray, steps: tuple[float, float]):
+    """How bright a surface is, and how much of a white highlight lies on it, each 0-1."""
+    pixel, between = steps
+    down, right = np.gradient(here, pixel)
+    gradient = np.stack([right, down, (after - before) / (2 * between)])
+    size = np.sqrt((gradient**2).sum(axis=0))
+    normal = -gradient / np.maximum(size, 1e-6)  # values rise inwards
+    light = LIGHT / np.linalg.norm(LIGHT)
+    halfway = light + TO_VIEWER
+    halfway /= np.linalg.norm(halfway)
+    surface = np.clip(size / FLAT, 0, 1)
+    # Both sides of a wall are lit: what is inside is seen through it.
+    lit = np.abs(np.tensordot(light, normal, 1))
+    bright = AMBIENT + DIFFUSE * (surface * lit + (1 - surface) * 0.7)
+    shine = SHINE * surface * np.clip(np.tensordot(halfway, normal, 1), 0, 1) ** SHININESS
+    return bright, shine
+
+
+def slices_of(volume: Volume, size: int, slices: int) -> Iterator[np.ndarray]:
+    """Premultiplied linear RGBA (size, size, 4) float32, the front one first."""
+    steps = 2 / size, 2 * volume.depth / slices
+    colors = np.array([linear_rgb(m.color) for m in volume.materials] + [[0, 0, 0]], np.float32)
+    extinctions = np.array([m.extinction for m in volume.materials] + [0], np.float32)
+    before = here = None
+    for after in fields(volume, size, slices):
+        if before is not None:
+            label = np.full(here.shape, len(volume.materials))
+            for number, material in enumerate(volume.materials):
+                label[(here >= material.low) & (here < material.high)] = number
+            alpha = 1 - np.exp(-extinctions[label] * np.float32(steps[1]))
+            alpha[alpha < TRANSPARENT] = 0
+            bright, shine = shading(before, here, after, steps)
+            color = ((1 - shine) * bright)[..., None] * colors[label] + shine[..., None]
+            yield np.concatenate([color * alpha[..., None], alpha[..., None]], axis=-1)
+        before, here = here, after
+
+
+def save_exr(path: Path, rgba: np.ndarray) -> None:
+    """Half-float, linear, premultiplied; the data window holds only what is not transparent."""
+    height, width = rgba.shape[:2]
+    seen = rgba[..., 3] > 0
+    rows, columns = np.flatnonzero(seen.any(axis=1)), np.flatnonzero(seen.any(axis=0))
+    top, bottom = (rows[0], rows[-1]) if rows.size else (0, 0)
+    left, right = (columns[0], columns[-1]) if columns.size else (0, 0)
+    part = rgba[top : bottom + 1, left : right + 1]
+    channels = {
+        name: np.ascontiguousarray(part[..., i], dtype=np.float16) for i, name in enumerate("RGBA")
+    }
+    header = {
+        "compression": OpenEXR.ZIP_COMPRESSION,
+        "type": OpenEXR.scanlineimage,
+        "dataWindow": (np.array([left, top], np.int32), np.array([right, bottom], np.int32)),
+        "displayWindow": (np.zeros(2, np.int32), np.array([width - 1, height - 1], np.int32)),
+    }
+    # Under its name a file is whole, whenever this is interrupted.
+    half_made = path.with_name(f".{path.name}")
+    OpenEXR.File(header, channels).write(str(half_made))
+    os.replace(half_made, path)
+
+
+def write_slices(name: str, size: int, slices: int, directory: Path) -> None:
+    directory.mkdir(parents=True, exist_ok=True)
+    for number, rgba in enumerate(slices_of(VOLUMES[name], size, slices)):
+        save_exr(directory / f"{number:03}.exr", rgba)
+
+
+if __name__ == "__main__":
+    name, size, slices, directory = sys.argv[1:]
+    write_slices(name, int(size), int(slices), Path(directory))
