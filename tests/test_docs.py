@@ -507,7 +507,8 @@ def test_the_completion_commands_of_readme_print_a_script(workplace, shell):
 
 # ---- links ---------------------------------------------------------------------------------------
 
-PAGES = ["README.md", "CHANGELOG.md", "samples/COOKBOOK.md", "samples/terrain/README.md"]
+PAGES = ["README.md", "CHANGELOG.md", "samples/COOKBOOK.md", "samples/terrain/README.md",
+         "samples/paper/README.md"]  # fmt: skip
 
 
 @pytest.mark.parametrize("page", PAGES)
