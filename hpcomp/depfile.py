@@ -66,7 +66,8 @@ def rule(targets: Iterable[str], inputs: Iterable[str]) -> str:
     """A rule by which `targets` are made from `inputs`, and an empty one for each input.
 
     The empty ones let make go on where an input is no more: the target is made again. Names are
-    escaped as both GNU make and ninja read them. Errors: `SettingError` for one that no rule can hold.
+    escaped as both GNU make and ninja read them.
+    Errors: `SettingError` for a name that no rule can hold.
     """
     read = [_escaped(path) for path in dict.fromkeys(inputs)]
     made = " ".join(map(_escaped_target, dict.fromkeys(targets)))
@@ -80,8 +81,8 @@ def _escaped_target(path: str) -> str:
     """A target's % would make the rule one of patterns."""
     if "=" in path:
         raise SettingError(
-            f"make takes a rule for {path} for an assignment, because of its =: name another target "
-            "with --depfile-target"
+            f"make takes a rule for {path} for an assignment, because of its =: "
+            "name another target with --depfile-target"
         )
     return _escaped(path).replace("%", "\\%")
 
@@ -89,7 +90,8 @@ def _escaped_target(path: str) -> str:
 def _escaped(path: str) -> str:
     if _IMPOSSIBLE.search(path):
         raise SettingError(
-            f"{path!r} has a line break or semicolon, which make cannot read in a depfile: rename it"
+            f"{path!r} has a line break or semicolon, which make cannot read in a depfile: "
+            "rename it"
         )
     # At the start of a word make takes it for somebody's home.
     path = f"./{path}" if path.startswith("~") else path

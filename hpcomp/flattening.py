@@ -25,6 +25,7 @@ from .compositing import StackRules
 from .deepbudget import Need
 from .deepcompositing import flat
 from .deepsamples import DeepSamples
+from .depfile import Depfile
 from .encoding import BOTTOM, Losses
 from .errors import SettingError, unknown_name
 from .geometry import Window, parse_window
@@ -42,7 +43,7 @@ from .imagefile import (
 )
 from .notices import Notices, warn_of_losses, warn_of_problems
 from .orders import ORDERS
-from .outputfile import whole_output
+from .outputfile import check_places, whole_output
 from .pipeline import StackResult
 from .placedstack import Layer, layer_specs, rules_of
 from .samples import Samples
@@ -130,6 +131,9 @@ def flatten(
     strict: bool = False,
     threads: int | None = None,
     max_memory: str | int = DEFAULT_MAX_MEMORY,
+    depfile: str | os.PathLike[str] | None = None,
+    depfile_target: str | Sequence[str] = (),
+    write_if_changed: bool = False,
 ) -> StackResult:
     """Composites the samples of deep EXR files along each viewing ray into one flat file.
 
@@ -172,13 +176,19 @@ def flatten(
     wanted_canvas = parse_canvas(canvas)
     if nonfinite not in NONFINITE_POLICIES:
         raise unknown_name("nonfinite policy", nonfinite, NONFINITE_POLICIES)
+    deps = Depfile.asked(depfile, depfile_target, [output])
+    check_places([output, *([deps.path] if deps else ())])
     n_threads = thread_count(threads)
     max_bytes = parse_bytes(max_memory)
 
     notices = Notices(strict)
     shown = "stdout" if output == STDIN else output
     with contextlib.ExitStack() as opened:
-        target = opened.enter_context(whole_output(output, clobber=clobber))
+        target = opened.enter_context(
+            whole_output(output, clobber=clobber, if_changed=write_if_changed)
+        )
+        if deps is not None:
+            opened.enter_context(deps.written([spec.path for spec in specs], write_if_changed))
         readers = [opened.enter_context(_opened_image(spec, nonfinite)) for spec in specs]
         if primaries == BOTTOM:
             rules = rules.in_primaries(readers[0].decoding.encoding.primaries)

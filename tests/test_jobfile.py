@@ -5,9 +5,11 @@ import json
 import sys
 from pathlib import Path
 
+import jsonschema
 import numpy as np
 import pytest
 from command import Desk
+from command import hpcomp as hpcomp_command
 
 import hpcomp
 from hpcomp.errors import InputError, SettingError
@@ -241,3 +243,47 @@ def test_saving_reads_what_was_saved(tmp_path):
     for name in ("a.json", "a.jsonl"):
         hpcomp.save_jobs(jobs, tmp_path / name)
         assert [document(j) for j in hpcomp.read_jobs(tmp_path / name)] == [*map(document, jobs)]
+
+
+# ---- the schema ----------------------------------------------------------------------------------
+
+
+def is_valid(document):
+    return jsonschema.Draft202012Validator(schema.json_schema()).is_valid(document)
+
+
+@pytest.fixture(scope="module")
+def printed():
+    run = hpcomp_command("batch", "--schema")
+    assert (run.code, run.stderr) == (0, "")
+    return json.loads(run.stdout)
+
+
+def test_the_schema_that_is_printed_is_one(printed):
+    jsonschema.Draft202012Validator.check_schema(printed)
+    assert printed == schema.json_schema()
+    assert printed["title"].endswith(f"version {schema.SCHEMA_VERSION}")
+
+
+@pytest.mark.parametrize(
+    "document", [json.loads(FILES["jobs.json"]), JOBS, JOBS[0], {"jobs": []}, {"version": 1, "jobs": JOBS}]
+)
+def test_the_schema_takes_what_is_read(document):
+    assert is_valid(document)
+
+
+@pytest.mark.parametrize(
+    ("name", "text"), [(name, text) for name, text, _ in REFUSED if name == "a.json"], ids=range(len([r for r in REFUSED if r[0] == "a.json"]))
+)
+def test_the_schema_takes_nothing_that_is_refused_for_its_form(name, text):
+    """But for what JSON Schema cannot see: keys that stand twice, values that `stack` looks up."""
+    if any(word in text for word in ("-::op", '"-"', '"output": "o", "output"')) or text == "[]":
+        return
+    assert not is_valid(json.loads(text))
+
+
+def test_every_option_of_stack_is_in_the_schema():
+    job = schema.json_schema()["$defs"]["job"]["properties"]
+    assert set(job) == {"version", "layers", "output", *schema.job_options()}
+    assert job["depth"] == {"anyOf": [{"type": "string"}, {"type": "integer"}, {"type": "null"}]}
+    assert job["report"] == {"anyOf": [{"type": "string"}, {"type": "array", "items": {"type": "string"}}]}

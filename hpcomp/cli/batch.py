@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shlex
 import sys
 from typing import Any
@@ -10,7 +11,7 @@ import click
 
 from ..errors import ExitCode, HpcompError
 from .messages import say
-from .options import Command, at_a_time, is_quiet, make_options, message_options
+from .options import Command, at_a_time, is_quiet, make_options, message_options, print_data
 from .progress import Progress
 from .signals import load
 
@@ -34,6 +35,12 @@ hidden file beside JOBS, for --update and --resume.
   hpcomp batch jobs.toml --update --log jobs.log
   hpcomp batch - --format jsonl -j 2 < jobs.jsonl
 """
+
+
+def _print_schema(ctx: click.Context, param: click.Parameter, value: bool) -> None:
+    if value and not ctx.resilient_parsing:
+        print_data(json.dumps(load("hpcomp.jobs.schema").json_schema(), indent=2))
+        ctx.exit()
 
 
 @click.command("batch", cls=Command, help=HELP, short_help=HELP.partition("\n")[0])
@@ -86,6 +93,14 @@ hidden file beside JOBS, for --update and --resume.
     help="Let the workers of a Dask cluster do the jobs, on the same paths: a scheduler's address "
     "or scheduler file, or local:N to start one here. -j is then how many jobs it has at a time, "
     "and --threads (1 if not given) and --max-memory are of each job.",
+)
+@click.option(
+    "--schema",
+    is_flag=True,
+    is_eager=True,
+    expose_value=False,
+    callback=_print_schema,
+    help="Print what job files may say, as a JSON Schema, and exit.",
 )
 @make_options
 @message_options

@@ -6,9 +6,9 @@ from typing import Any
 
 import click
 
-from ..encoding import OUT_PRIMARIES
 from ..orders import ORDERS
-from .options import LayerCommand, message_options
+from .options import LayerCommand, make_options, message_options
+from .pictureoptions import picture_options
 from .signals import load
 from .stackoptions import stack_options
 
@@ -45,19 +45,7 @@ in the LAYER syntax of stack; `-` reads stdin. Keys:
 @click.argument(
     "images", metavar="IMAGE...", nargs=-1, required=True, type=click.Path(readable=False)
 )
-@click.option(
-    "-o",
-    "--output",
-    required=True,
-    metavar="PATH",
-    type=click.Path(readable=False),
-    help="Write here: a path ending in .png or .exr, or - for stdout with --format.",
-)
-@click.option(
-    "--format",
-    type=click.Choice(["png", "exr"]),
-    help="Format of an output without an ending.",
-)
+@picture_options("output", "format")
 @stack_options("blending")
 @click.option(
     "--order",
@@ -68,31 +56,9 @@ in the LAYER syntax of stack; `-` reads stdin. Keys:
     "farthest.",
 )
 @stack_options("space", "primaries", "hue_tolerance", "gray_bias")
-@click.option(
-    "--depth",
-    type=click.Choice(["8", "16", "half", "float"]),
-    help="PNG: 8 (default), 16. EXR: half (default), float.",
-)
-@click.option(
-    "--compression",
-    metavar="NAME",
-    help="PNG: fast (default), small, 0…9. EXR: zip (default), none, rle, zips, piz, pxr24, b44, "
-    "b44a, dwaa, dwab, htj2k256, htj2k32.",
-)
-@click.option(
-    "--out-primaries",
-    type=click.Choice(OUT_PRIMARIES),
-    help="PNG: write it in these primaries instead of rec709, on the curve of sRGB. An EXR is "
-    "written in those of --primaries.",
-)
+@picture_options("depth", "compression", "out_primaries")
 @stack_options("exposure")
-@click.option("--region", metavar="WxH+X+Y", help="Make only this part of the canvas.")
-@click.option(
-    "--clobber/--no-clobber",
-    default=True,
-    show_default=True,
-    help="Replace an existing output.",
-)
+@picture_options("region", "clobber")
 @stack_options("canvas", "overscan", "background")
 @click.option(
     "--nonfinite",
@@ -103,19 +69,8 @@ in the LAYER syntax of stack; `-` reads stdin. Keys:
     "out), keep (one whose depth is NaN is behind all others).",
 )
 @stack_options("strict")
-@click.option(
-    "--threads",
-    type=click.IntRange(min=1),
-    metavar="N",
-    help="Threads to use: all cores if not given.",
-)
-@click.option(
-    "--max-memory",
-    default="1G",
-    show_default=True,
-    metavar="SIZE",
-    help="Memory for samples, pixels and codecs, such as 512M.",
-)
+@picture_options("threads", "max_memory")
+@make_options
 @message_options
 def command(images: tuple[str, ...], output: str, **options: Any) -> None:
     load("hpcomp.flattening").flatten(images, output, **options)

@@ -76,13 +76,13 @@ def _layer_document(layer: LayerSpec) -> dict[str, Any]:
 
 # --- what a job can hold --------------------------------------------------------------------------
 
-#: Of each kind of value: what errors call it, and whether a value is one.
-_KINDS: dict[Any, tuple[str, Callable[[Any], bool]]] = {
-    str: ("a text", lambda value: isinstance(value, str)),
-    int: ("a whole number", lambda value: type(value) is int),
-    float: ("a number", lambda value: type(value) in (int, float)),
-    bool: ("true or false", lambda value: type(value) is bool),
-    NoneType: ("null", lambda value: value is None),
+#: Of each kind of value: what errors call it, whether a value is one, and how JSON Schema says it.
+_KINDS: dict[Any, tuple[str, Callable[[Any], bool], dict[str, str]]] = {
+    str: ("a text", lambda value: isinstance(value, str), {"type": "string"}),
+    int: ("a whole number", lambda value: type(value) is int, {"type": "integer"}),
+    float: ("a number", lambda value: type(value) in (int, float), {"type": "number"}),
+    bool: ("true or false", lambda value: type(value) is bool, {"type": "boolean"}),
+    NoneType: ("null", lambda value: value is None, {"type": "null"}),
 }
 
 
@@ -226,6 +226,46 @@ def checked_defaults(document: Mapping[str, Any]) -> dict[str, Any]:
         return checked_table(defaults, job_options(), "option for all jobs")
     except MisplacedError as problem:
         raise MisplacedError(f"defaults: {problem}", problem.table, problem.key) from None
+
+
+def json_schema() -> dict[str, Any]:
+    """What job files may say, as a JSON Schema (2020-12) of the whole document."""
+
+    def table(keys: Mapping[str, Any], required: Sequence[str] = ()) -> dict[str, Any]:
+        return {
+            "type": "object",
+            "properties": {key: _json_type(kinds_of(hint)) for key, hint in keys.items()},
+            "required": list(required),
+            "additionalProperties": False,
+        }
+
+    version = {"const": SCHEMA_VERSION}
+    layer = {"anyOf": [{"type": "string"}, table(_layer_keys(), ["path"])]}
+    job = table({"version": int, "output": str, **job_options()}, ["layers", "output"])
+    job["properties"] |= {
+        "version": version,
+        "layers": {"type": "array", "items": {"$ref": "#/$defs/layer"}, "minItems": 1},
+    }
+    jobs = {"type": "array", "items": {"$ref": "#/$defs/job"}}
+    document = table({})
+    document["properties"] = {"version": version, "defaults": table(job_options()), "jobs": jobs}
+    document["required"] = ["jobs"]
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "title": f"Jobs of hpcomp batch, version {SCHEMA_VERSION}",
+        "anyOf": [document, jobs, {"$ref": "#/$defs/job"}],
+        "$defs": {"job": job, "layer": layer},
+    }
+
+
+def _json_type(kinds: Sequence[Any]) -> dict[str, Any]:
+    types: list[dict[str, Any]] = []
+    for kind in kinds:
+        items = isinstance(kind, list)
+        found = {"type": "array", "items": _json_type(kind)} if items else _KINDS[kind][2]
+        if found not in types:
+            types.append(found)
+    return types[0] if len(types) == 1 else {"anyOf": types}
 
 
 def jobs_of(tables: Sequence[Mapping[str, Any] | Job]) -> list[Job]:
