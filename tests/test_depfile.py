@@ -7,6 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import deepfile
 import numpy as np
 import OpenImageIO as oiio
 import pytest
@@ -91,6 +92,24 @@ def test_reports_name_what_they_measured(desk, command, expected):
     run = desk.run(*command, "--depfile", "out.d")
     assert (run.code, run.stderr) == (0, "")
     assert read(desk) == expected
+
+
+def test_a_check_names_the_picture_and_its_layers_for_a_stamp(desk):
+    desk.makes("stack", "base.png", "top.png", "-o", "out.png")
+    check = ("check", "out.png", "base.png", "top.png::opacity=1", "--max-foreign", "1", "--depfile", "out.d")
+    desk.refuses(2, *check, says=["--depfile-target"])
+    assert desk.run(*check, "--depfile-target", "stamp").code == 0
+    assert read(desk) == rule(["stamp"], ["out.png", "base.png", "top.png"])
+
+
+def test_a_flattened_picture_names_its_deep_files(desk):
+    deepfile.write(desk / "a.exr", deepfile.noise(6, 4, 3, seed=1))
+    deepfile.write(desk / "b.exr", deepfile.noise(6, 4, 3, seed=2))
+    desk.makes("flatten", "a.exr", "b.exr", "-o", "out.exr", "--depfile", "out.d", "--write-if-changed")
+    assert read(desk) == rule(["out.exr"], ["a.exr", "b.exr"])
+    before = identity(desk / "out.exr")
+    desk.makes("flatten", "b.exr", "a.exr", "-o", "out.exr", "--write-if-changed")
+    assert identity(desk / "out.exr") == before
 
 
 def test_a_batch_names_its_job_file_and_not_what_it_makes_itself(desk):

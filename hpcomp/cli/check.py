@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 from typing import Any
 
 import click
 
+from ..depfile import Depfile
 from ..errors import ExitCode
+from ..outputfile import STDOUT
 from .messages import say
-from .options import LayerCommand, message_options, print_data
+from .options import LayerCommand, depfile_options, message_options, print_data
 from .signals import load
 from .stackoptions import stack_options
 
@@ -84,17 +87,26 @@ SHORT_HELP = "Fail if a picture has lost the hues of its layers."
     show_default=True,
     help="What to print.",
 )
+@depfile_options
 @message_options
 @click.pass_context
 def command(
-    ctx: click.Context, /, image: str, layers: tuple[str, ...], format: str, **options: Any
+    ctx: click.Context,
+    /,
+    image: str,
+    layers: tuple[str, ...],
+    format: str,
+    depfile: str | None,
+    depfile_target: tuple[str, ...],
+    **options: Any,
 ) -> None:
     """Fail if a picture has lost the hues of its layers.
 
     IMAGE is the picture, LAYER, with keys such as opacity and tint, and the options are those that
     `hpcomp stack` made it with; instead of layers, --hues lists what is allowed. At least one of
     --max-foreign, --max-grey and --require-hue is needed. The exit code is 6 if a rule does not
-    hold, with a line on stderr for each that does not.
+    hold, with a line on stderr for each that does not. A depfile is about the --depfile-target,
+    such as a stamp.
 
     A hue is foreign if it is farther than the tolerance from that of every layer that contributes
     to that very pixel. What the file's own samples leave uncertain is allowed for: half a code
@@ -106,7 +118,10 @@ def command(
       hpcomp check map.png --hues 0,120,231 --max-foreign 1% --format json
     """
     checking, report = load("hpcomp.checking"), load("hpcomp.report.check")
-    result = checking.check(image, layers, **options)
+    deps = Depfile.asked(depfile, depfile_target, [STDOUT])
+    read = [spec.path for spec in load("hpcomp.placedstack").layer_specs([image, *layers])]
+    with contextlib.nullcontext() if deps is None else deps.written(read):
+        result = checking.check(image, layers, **options)
     if format == "json":
         print_data(json.dumps(report.as_data(result), indent=2))
     else:

@@ -106,12 +106,17 @@ def print_bytes(data: bytes) -> None:
 
 def make_options(function: F) -> F:
     """What makefiles ask of every command that writes files."""
+    function = click.option(
+        "--write-if-changed",
+        is_flag=True,
+        help="Leave outputs that have the new bytes already as they are, with their times.",
+    )(function)
+    return depfile_options(function)
+
+
+def depfile_options(function: F) -> F:
+    """What makefiles ask of every command that reads files."""
     for option in (
-        click.option(
-            "--write-if-changed",
-            is_flag=True,
-            help="Leave outputs that have the new bytes already as they are, with their times.",
-        ),
         click.option(
             "--depfile-target",
             multiple=True,
