@@ -16,8 +16,12 @@ from .errors import SettingError
 T = TypeVar("T")
 
 
+#: More than any machine has use for: each takes memory, and a slip of the finger asks for millions.
+MOST_THREADS = 1024
+
+
 def thread_count(threads: int | None) -> int:
-    """How many threads a run takes: as asked, or one for each core that it may use."""
+    """How many threads a run takes: as asked, up to `MOST_THREADS`, or one for each core."""
     if threads is None:
         return (
             len(os.sched_getaffinity(0))
@@ -26,7 +30,7 @@ def thread_count(threads: int | None) -> int:
         )
     if threads < 1:
         raise SettingError(f"threads {threads} is below 1")
-    return threads
+    return min(threads, MOST_THREADS)
 
 
 def reads_ahead(threads: int) -> int:

@@ -242,13 +242,14 @@ def test_memory_stays_in_the_budget(tmp_path, threads, options):
 
 
 def test_memory_does_not_follow_the_height(tmp_path):
+    """500 rows more are 46 MiB of samples; what their offsets and counts take is far less."""
     peaks = []
     for height in (100, 600):
         deepfile.write(tmp_path / "a.exr", noise(500, height, 8, volumes=False))
         most, code, _ = peak([tmp_path / "a.exr", "-o", tmp_path / "out.exr", "--threads", 1])
         assert code == 0
         peaks.append(most)
-    assert peaks[1] - peaks[0] <= NOISE_M + 1
+    assert peaks[1] - peaks[0] <= NOISE_M + 4
 
 
 def test_a_row_that_does_not_fit_names_the_least_memory(desk):
