@@ -8,8 +8,8 @@ import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
-from .errors import OutputError, SettingError, why
-from .outputfile import STDOUT, whole_output
+from .errors import SettingError
+from .outputfile import STDOUT, whole_output, writing
 
 #: What make takes for its own in a name, written so that make and ninja read the character alone.
 _ESCAPES = {"$": "$$", "#": "\\#", ":": "\\:"}
@@ -50,16 +50,20 @@ class Depfile:
     def written(self, inputs: Iterable[str], if_changed: bool = False) -> Iterator[None]:
         """The file appears when the block ends in peace: before the outputs that were opened first.
 
-        `inputs`: what was read; streams are left out. Errors: `SettingError`, `OutputError`.
+        `inputs`: what was read; streams are left out.
+        Errors: `SettingError`, also where it would replace an input; `OutputError`.
         """
-        text = rule(self.targets, [path for path in inputs if not _is_stream(path)])
+        read = [path for path in inputs if not _is_stream(path)]
+        if self.path != STDOUT and os.path.realpath(self.path) in map(os.path.realpath, read):
+            raise SettingError(f"the depfile {self.path} would replace what is read: rename it")
+        text = rule(self.targets, read)
         with whole_output(self.path, if_changed=if_changed) as place:
             yield
-            try:
-                with open(place, "w", encoding="utf-8", errors="surrogateescape") as file:
-                    file.write(text)
-            except OSError as reason:
-                raise OutputError(f"{self.path}: cannot be written: {why(reason)}") from None
+            with (
+                writing(self.path),
+                open(place, "w", encoding="utf-8", errors="surrogateescape") as file,
+            ):
+                file.write(text)
 
 
 def rule(targets: Iterable[str], inputs: Iterable[str]) -> str:

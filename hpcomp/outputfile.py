@@ -82,6 +82,17 @@ def check_places(paths: Iterable[str]) -> None:
         taken.add(place)
 
 
+@contextlib.contextmanager
+def writing(label: str, done: str = "written") -> Iterator[None]:
+    """What the system refuses in the block is an `OutputError` about `label`."""
+    try:
+        yield
+    except BrokenPipeError:
+        raise
+    except OSError as reason:
+        raise OutputError(f"{label}: cannot be {done}: {why(reason)}") from None
+
+
 def remove_leftovers(targets: Iterable[str], prefix: str) -> None:
     """Removes the temporary files beside `targets` that a killed process of that prefix left."""
     for directory in {os.path.dirname(os.path.realpath(target)) for target in targets}:
@@ -96,7 +107,10 @@ def stdout_bytes() -> BinaryIO:
     """Stdout as a stream that writes all that it is given.
 
     Python's own does not where PYTHONUNBUFFERED is set: what a pipe does not take at once is lost.
+    Errors: `OutputError` where it is closed.
     """
+    if sys.stdout is None:
+        raise OutputError("stdout is closed: give it a reader")
     sys.stdout.flush()
     return open(sys.stdout.fileno(), "wb", closefd=False)
 

@@ -159,7 +159,7 @@ def test_ranges_of_frames(text, frames):
     assert parse_frames(text) == frames
 
 
-@pytest.mark.parametrize("text", ["", "a", "1-", "4-1", "1-4x0", "1-3,2", "1..3", "1-4x"])
+@pytest.mark.parametrize("text", ["", "a", "1-", "4-1", "1-4x0", "1-3,2", "1..3", "1-4x", "1-1000000000", "1-999999999", f"{'9' * 5000}"])
 def test_what_is_no_range_of_frames(text):
     with pytest.raises(SettingError, match="frame"):
         parse_frames(text)
@@ -168,7 +168,10 @@ def test_what_is_no_range_of_frames(text):
 @pytest.mark.parametrize(
     ("path", "frame", "expected"),
     [("a.%04d.exr", 7, "a.0007.exr"), ("a%d.exr", 12, "a12.exr"), ("%03d/a.#####.exr", 7, "007/a.00007.exr"),
-     ("a#.png", 123, "a123.png"), ("a.png", 1, "a.png"), ("a%s%.png", 1, "a%s%.png")],
+     ("a#.png", 123, "a123.png"), ("a.png", 1, "a.png"), ("a%s%.png", 1, "a%s%.png"),
+     ("shot#2/a.%04d.png", 3, "shot#2/a.0003.png"), ("shot#2/a#.png", 3, "shot#2/a3.png"),
+     ("shot#2/a.png", 3, "shot#2/a.png"), ("t#/a.##.png", 3, "t#/a.03.png"), ("a.%03i.png", 4, "a.004.png"),
+     ("a.%099999d.png", 1, "a.%099999d.png")],
 )  # fmt: skip
 def test_names_of_frames(path, frame, expected):
     assert numbered(path, frame) == expected
@@ -373,6 +376,8 @@ def rewrite(path, data):
 
 @pytest.mark.parametrize("first", [[], ["--update"]], ids=["plain", "update"])
 def test_update_makes_what_changed_and_nothing_else(desk, first):
+    for path in desk.folder.iterdir():
+        os.utime(path, ns=(10**18, 10**18))  # not so young that nobody would trust their times
     tables = jobs(3)
     tables[2]["layers"] = ["l0.png", "l3.exr"]
     put_jobs(desk, tables)
@@ -392,6 +397,10 @@ def test_update_makes_what_changed_and_nothing_else(desk, first):
     (desk / "out1.png").write_bytes(b"another's")
     assert statuses(desk, "--update", "--max-memory", "512M") == "current made current"
     assert outputs(desk)["out1.png"] == made["out1.png"]
+    os.utime(desk / "out1.png")  # an output that was touched
+    assert statuses(desk, "--update") == "current current current"
+    rewrite(desk / "out1.png", made["out1.png"][:-1] + b"x")  # one that was damaged
+    assert statuses(desk, "--update") == "current made current"
     assert statuses(desk) == "made made made"
 
 
@@ -442,6 +451,112 @@ def test_a_damaged_state_is_a_job_more_to_do(desk):
     assert statuses(desk, "--update") == "made made"
 
 
+def test_a_depfile_that_is_missing_is_made_again(desk):
+    put_jobs(desk, jobs(1, depfile="out.d"))
+    assert statuses(desk) == "made"
+    (desk / "out.d").unlink()
+    assert statuses(desk, "--update") == "made"
+    assert (desk / "out.d").exists()
+    assert statuses(desk, "--update") == "current"
+
+
+def test_an_output_that_is_a_dangling_link_is_not_there(desk):
+    put_jobs(desk, jobs(1))
+    (desk / "out0.png").symlink_to("real.png")
+    assert statuses(desk, "--skip-existing") == "made"
+    assert (desk / "real.png").exists()
+
+
+@pytest.mark.parametrize("lines", [b'{"run": "a", "prefix": 3}\n{"output": ["x"], "key": 1}\n',
+                                   b'{"output": "%s", "key": "k"}\n[]\n"x"\n{}\n', b"[" * 100000])  # fmt: skip
+def test_a_state_of_another_making_is_a_job_more_to_do(desk, lines):
+    put_jobs(desk, jobs(1))
+    (desk / ".jobs.json.hpcomp-state").write_bytes(lines.replace(b"%s", os.fsencode(desk / "out0.png")))
+    assert statuses(desk, "--update") == "made"
+    assert statuses(desk, "--update") == "current"
+
+
+def test_one_batch_at_a_time_has_a_state(desk):
+    slow_jobs(desk)
+    first = subprocess.Popen(command("batch", "jobs.json"), cwd=desk.folder, stderr=subprocess.PIPE)
+    until(lambda: is_making(desk))
+    second = desk.run("batch", "jobs.json")
+    assert second.code == ExitCode.OUTPUT
+    assert ".jobs.json.hpcomp-state is in use" in second.lines[-1]
+    assert first.wait(PATIENCE_S) == 0
+    first.communicate()
+    assert len(outputs(desk)) == 4
+
+
+def test_what_is_left_goes_though_the_number_of_the_process_is_another_s(desk):
+    """In containers a new run may well have the number of the old one."""
+    slow_jobs(desk)
+    first = subprocess.Popen(command("batch", "jobs.json"), cwd=desk.folder, stderr=subprocess.DEVNULL)
+    until(lambda: is_making(desk))
+    for pid in (*processes_of(first.pid), first.pid):
+        os.kill(pid, signal.SIGKILL)
+    first.wait()
+    assert temporaries(desk)
+    assert desk.run("batch", "jobs.json", "--resume").code == 0
+    assert temporaries(desk) == []
+
+
+def test_a_pipe_has_no_state_beside_it(desk):
+    text = json.dumps(jobs(1)).encode()
+    before = os.listdir("/dev")
+    substituted = ["bash", "-c", 'exec "$@" 3< <(cat)', "bash"]
+    for path, through in (("/dev/stdin", ()), ("/dev/fd/3", substituted)):
+        batch = ("batch", path, "--format", "json")
+        run = desk.run(*batch, "-q", stdin=text, through=through)
+        assert (run.code, run.stderr) == (0, "")
+        run = desk.run(*batch, "--update", stdin=text, through=through)
+        assert (run.code, "--state" in run.lines[-1]) == (2, True)
+    assert os.listdir("/dev") == before
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        (["--log", "jobs.json"], "jobs.json"),
+        (["--depfile", "jobs.json"], "jobs.json"),
+        (["--state", "jobs.json"], "jobs.json"),
+        (["--state", "l0.png"], "l0.png is read by"),
+        (["--log", "l1.png"], "l1.png is read by"),
+        (["--depfile", "l2.png"], "l2.png is read by"),
+        (["--log", "out1.png"], "out1.png"),
+        (["--depfile", "out0.png"], "out0.png"),
+        (["--log", "x", "--depfile", "./x"], "two outputs"),
+        (["--state", "l3.exr"], "l3.exr is no state"),
+    ],
+)  # fmt: skip
+def test_files_of_the_batch_replace_nothing(desk, options, says):
+    put_jobs(desk, jobs(2))
+    line = desk.refuses(2, "batch", "jobs.json", *options, says=[])
+    assert says in line
+
+
+def test_jobs_do_not_share_a_depfile(desk):
+    put_jobs(desk, jobs(2, depfile="all.d"))
+    desk.refuses(2, "batch", "jobs.json", says=["both write all.d"])
+
+
+def test_a_log_goes_on_after_a_line_that_was_cut(desk):
+    put_jobs(desk, jobs(2))
+    assert desk.run("batch", "jobs.json", "--log", "log").code == 0
+    with open(desk / "log", "rb+") as file:
+        file.truncate(file.seek(0, os.SEEK_END) - 30)
+    assert desk.run("batch", "jobs.json", "--log", "log", "--resume").code == 0
+    lines = (desk / "log").read_text().splitlines()
+    assert [json.loads(line)["status"] for line in (lines[0], *lines[2:])] == ["made", "current", "current"]
+
+
+def test_a_log_without_stdout_is_refused(desk):
+    put_jobs(desk, jobs(1))
+    run = desk.run("batch", "jobs.json", "--log", "-", through=["sh", "-c", 'exec "$@" >&-', "sh"])
+    assert run.code == ExitCode.OUTPUT
+    assert run.lines[-1] == "hpcomp: error: stdout is closed: give it a reader"
+
+
 def test_a_folder_that_keeps_no_state(desk):
     state = desk / ".jobs.json.hpcomp-state"
     state.mkdir()
@@ -485,6 +600,7 @@ def test_killed_at_any_moment_it_is_resumed_to_the_same_bytes(desk):
     took = time.monotonic() - begin
     expected = outputs(desk)
     rng = random.Random(1)
+    in_the_midst = 0
     for round_ in range(20):
         for name in expected:
             (desk / name).write_bytes(b"old") if round_ % 2 else (desk / name).unlink()
@@ -495,6 +611,7 @@ def test_killed_at_any_moment_it_is_resumed_to_the_same_bytes(desk):
         # In every other pair of rounds those that it has started as well, so that nobody is left
         # who could tidy up; else they do when they see that they are alone.
         with_it = processes_of(process.pid)
+        in_the_midst += process.poll() is None
         for pid in (process.pid, *(with_it if round_ % 4 < 2 else ())):
             with contextlib.suppress(ProcessLookupError):
                 os.kill(pid, signal.SIGKILL)
@@ -506,6 +623,7 @@ def test_killed_at_any_moment_it_is_resumed_to_the_same_bytes(desk):
         assert run.code == 0, run.stderr
         assert outputs(desk) == expected
         assert temporaries(desk) == []
+    assert in_the_midst >= 10
 
 
 # ---- disks ---------------------------------------------------------------------------------------

@@ -155,6 +155,15 @@ REFUSED = [
     ("a.csv", "output,layer\no.png,a,b\n", "a.csv:2: 3 cells, but 2 columns"),
     ("a.csv", "output,layer\no.png,\n", "a.csv:2: it has no layers"),
     ("a.txt", "", "ends in none of .toml"),
+    ("a.toml", '[[jobs]]\nlayers = ["a"]\noutput = "o.png"\n\n[defaults]\nfoo = 2\n\n[[jobs]]\nfoo = 3\n',
+     "a.toml:6: defaults: unknown"),
+    ("a.toml", '[[jobs]]\nlayers = ["a"]\noutput = "o.png"\n\n[defaults]\nbins = 2\n\n[[jobs]]\nlayers = ["b"]\n'
+     'output = "p.png"\nbins = "x"\n', "a.toml:11: job 2: bins"),
+    ("a.toml", 'defaults = { strict = true, foo = 2 }\n[[jobs]]\nfoo = 3\n', "a.toml:1: defaults: unknown"),
+    ("a.toml", "jobs = [2024-01-01]", "job 1: it is no table"),
+    ("a.json", '[{"layers": ["a\\u0000b"], "output": "o.png"}]', "is no name of a file"),
+    ("a.json", '[{"layers": ["a"], "output": "o\\ud800.png"}]', "is no name of a file"),
+    ("a.json", '[{"layers": ["a"], "output": "o.png", "depfile": "-"}]', "cannot write to stdout"),
 ]  # fmt: skip
 
 
@@ -177,6 +186,10 @@ def test_what_is_refused_and_where(tmp_path, monkeypatch, name, text, says):
         ("a.csv", b'output,layer\n"o.png,a\n', "a.csv:2: is not CSV"),
         ("a.toml", b"# x\n# \xff\n", "a.toml:2: is not text in UTF-8"),
         ("none.toml", None, "none.toml: cannot be read: no such file"),
+        ("a.json", b"[" * 100_000, "a.json: is not JSON that can be read"),
+        ("a.json", b"[" + b"9" * 5000 + b"]", "a.json: is not JSON that can be read"),
+        ("a.toml", b"a = " + b"9" * 5000, "a.toml: is not TOML"),
+        ("a.toml", b"a = " + b"[" * 5000, "a.toml: is not TOML"),
     ],
 )  # fmt: skip
 def test_what_cannot_be_read(tmp_path, monkeypatch, name, data, says):
@@ -277,7 +290,8 @@ def test_the_schema_takes_what_is_read(document):
 )
 def test_the_schema_takes_nothing_that_is_refused_for_its_form(name, text):
     """But for what JSON Schema cannot see: keys that stand twice, values that `stack` looks up."""
-    if any(word in text for word in ("-::op", '"-"', '"output": "o", "output"')) or text == "[]":
+    beyond = ("-::op", '"-"', '"output": "o", "output"', "\\u0000", "\\ud800")
+    if any(word in text for word in beyond) or text == "[]":
         return
     assert not is_valid(json.loads(text))
 

@@ -28,7 +28,7 @@ In CSV each row is a job, with the columns output, layer (as many as needed) and
 
 A job that needs what another one makes waits for it. A failure does not stop the others. The exit
 code is that of the worst failure: 1 is worse than 5, then 3, 4 and 2. What was done is kept in a
-hidden file beside JOBS, for --update and --resume.
+hidden file beside JOBS, for --update and --resume, and only one batch at a time has it.
 
 \b
   hpcomp batch jobs.toml

@@ -10,8 +10,8 @@ from typing import Any, TypeVar
 
 import click
 
-from ..errors import HpcompWarning, OutputError, SettingError, why
-from ..outputfile import stdout_bytes
+from ..errors import HpcompWarning, SettingError
+from ..outputfile import stdout_bytes, writing
 from .messages import say
 
 #: Where a context keeps the answer of `is_quiet`.
@@ -93,15 +93,8 @@ def print_data(text: str) -> None:
 
 def print_bytes(data: bytes) -> None:
     """Prints data as they are; `OutputError` where stdout takes none."""
-    if sys.stdout is None:
-        raise OutputError("stdout is closed: give it a reader")
-    try:
-        with stdout_bytes() as stdout:
-            stdout.write(data)
-    except BrokenPipeError:
-        raise
-    except OSError as reason:
-        raise OutputError(f"stdout: cannot be written: {why(reason)}") from None
+    with writing("stdout"), stdout_bytes() as stdout:
+        stdout.write(data)
 
 
 def make_options(function: F) -> F:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-import shutil
+import os
 import sys
 import time
 
@@ -13,6 +13,8 @@ from .messages import say
 #: Between two drawings of the bar: no oftener than an eye can follow.
 _REDRAW_S = 0.1
 _BAR_COLUMNS = 30
+#: Where a terminal does not say how wide it is.
+_COLUMNS = 80
 
 
 class Progress:
@@ -20,7 +22,7 @@ class Progress:
 
     def __init__(self, quiet: bool) -> None:
         self.total, self.quiet = 0, quiet
-        self.ended = self.worked = self.failed = 0
+        self.ended = self.failed = 0
         self._bar = not quiet and sys.stderr is not None and sys.stderr.isatty()
         self._begin = time.monotonic()
         self._drawn = 0.0
@@ -32,7 +34,6 @@ class Progress:
     def count(self, worked: bool, failed: bool, text: str) -> None:
         """One more has ended; `text` is its line where there is no bar."""
         self.ended += 1
-        self.worked += worked
         self.failed += failed
         if self._bar:
             self.draw()
@@ -60,13 +61,20 @@ class Progress:
     def _line(self, elapsed: float) -> str:
         filled = _BAR_COLUMNS * self.ended // max(1, self.total)
         words = [f"[{'#' * filled}{'-' * (_BAR_COLUMNS - filled)}] {self.ended}/{self.total}"]
-        if self.worked:
-            rate = self.worked / max(elapsed, 1e-6)
+        if self.ended:
+            rate = self.ended / max(elapsed, 1e-6)
             left = round((self.total - self.ended) / rate)
             words += [f"{rate:.3g}/s", f"{left // 60}:{left % 60:02} left"]
         if self.failed:
             words.append(f"{self.failed} failed")
-        return one_line(" ".join(words))[: shutil.get_terminal_size((80, 24)).columns - 1]
+        return one_line(" ".join(words))[: self._columns() - 1]
+
+    def _columns(self) -> int:
+        """Of the terminal that stderr is; stdout may be another one, or none."""
+        try:
+            return os.get_terminal_size(sys.stderr.fileno()).columns or _COLUMNS
+        except (OSError, ValueError):
+            return _COLUMNS
 
     def _write(self, text: str) -> None:
         with contextlib.suppress(OSError, ValueError):

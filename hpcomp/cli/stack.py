@@ -98,7 +98,8 @@ argument is an existing file; a value holds no comma. Keys: {", ".join(LAYER_KEY
     "--frames",
     metavar="RANGE",
     help="Make a sequence, each frame a file: 1-240, 1-240x2, or several between commas. The "
-    "number stands where paths have %04d or ####; a layer without is the same in every frame.",
+    "number stands where paths have %04d or ####; a layer without is the same in every frame. "
+    "For more, such as --update or a log, add --save-job and run hpcomp batch.",
 )
 @at_a_time("Frames at a time: one for each core if not given.")
 @click.option(

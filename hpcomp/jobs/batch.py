@@ -8,16 +8,16 @@ import logging
 import os
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from graphlib import CycleError, TopologicalSorter
-from typing import Any
+from typing import Any, BinaryIO
 
 from ..budget import DEFAULT_MAX_MEMORY, parse_bytes
 from ..depfile import Depfile
-from ..errors import ExitCode, InputError, OutputError, SettingError, why
+from ..errors import ExitCode, InputError, SettingError
 from ..imagefile import STDIN
-from ..outputfile import STDOUT, stdout_bytes
+from ..outputfile import STDOUT, check_places, stdout_bytes, writing
 from .doing import maker
 from .jobfile import read_jobs
 from .processes import Crew, Processes, Result
@@ -146,7 +146,11 @@ def batch(
     memory = parse_bytes(max_memory)
     begin = time.perf_counter()
     makers = _makers(todo)
-    order = _order(todo, makers)
+    needs = _needs(todo, makers)
+    order = _order(todo, needs)
+    _check_own_files(
+        [os.fspath(p) for p in (job_file, log_to, state, depfile) if p is not None], todo
+    )
     if on_begin is not None:
         on_begin(todo)
     prefix = f"hpcomp.{os.urandom(6).hex()}."
@@ -160,7 +164,7 @@ def batch(
             lines = _Log(os.fspath(log_to), append=resume)
             opened.callback(lines.close)
         if deps is not None:
-            _write_depfile(deps, todo, makers, job_file)
+            _write_depfile(deps, todo, needs, job_file)
         crew: Crew
         if dask is None:
             crew = Processes.sharing(len(todo), workers, threads, memory, prefix)
@@ -170,7 +174,7 @@ def batch(
             crew = Cluster.at(dask, workers, threads, memory, prefix)
         run = _Run(
             todo,
-            makers,
+            needs,
             order,
             crew,
             remembered,
@@ -196,40 +200,48 @@ def batch(
 
 
 def _write_depfile(
-    asked: Depfile, jobs: Sequence[Job], makers: Mapping[str, int], job_file: str | None
+    asked: Depfile,
+    jobs: Sequence[Job],
+    needs: Sequence[Mapping[str, int]],
+    job_file: str | None,
 ) -> None:
     """Says what all jobs together read, but for what they make themselves."""
-    read = [layer for job in jobs for layer in job.inputs if os.path.realpath(layer) not in makers]
+    read = [
+        path
+        for job, by in zip(jobs, needs, strict=True)
+        for path in job.inputs
+        if path not in by and path not in job.outputs
+    ]
     with asked.written(read if job_file is None else [job_file, *read]):
         pass
 
 
 class _Log:
-    """A line of JSON for each record, at `path` or on stdout."""
+    """A line of JSON for each record, at `path` or on stdout; `append` keeps what stands there."""
 
     def __init__(self, path: str, append: bool) -> None:
         self.path = path
-        with self._checked():
-            mode = "ab" if append else "wb"
-            self._file = stdout_bytes() if path == STDOUT else open(path, mode)  # noqa: SIM115
+        with writing(path):
+            if path == STDOUT:
+                self._file = stdout_bytes()
+            else:
+                self._file = open(path, "ab+" if append else "wb")  # noqa: SIM115
+                if append and self._file.tell() and not _ends_a_line(self._file):
+                    self._file.write(b"\n")  # a run that was killed may have been writing
 
     def add(self, record: JobRecord) -> None:
-        with self._checked():
+        with writing(self.path):
             self._file.write(f"{json.dumps(asdict(record))}\n".encode())
             self._file.flush()
 
     def close(self) -> None:
-        with self._checked():
+        with writing(self.path):
             self._file.close()
 
-    @contextlib.contextmanager
-    def _checked(self) -> Iterator[None]:
-        try:
-            yield
-        except BrokenPipeError:
-            raise
-        except OSError as reason:
-            raise OutputError(f"{self.path}: the log cannot be written: {why(reason)}") from None
+
+def _ends_a_line(file: BinaryIO) -> bool:
+    file.seek(-1, os.SEEK_END)
+    return file.read(1) == b"\n"
 
 
 # --- the run --------------------------------------------------------------------------------------
@@ -241,7 +253,7 @@ class _Run:
     def __init__(
         self,
         jobs: Sequence[Job],
-        makers: Mapping[str, int],
+        needs: Sequence[Mapping[str, int]],
         order: TopologicalSorter[int],
         crew: Crew,
         state: State | None,
@@ -252,7 +264,7 @@ class _Run:
         update: bool,
         resume: bool,
     ) -> None:
-        self.jobs, self.makers, self.order = jobs, makers, order
+        self.jobs, self.needs, self.order = jobs, needs, order
         self.crew, self.state, self.granted = crew, state, granted
         self.fail_fast, self.skip_existing = fail_fast, skip_existing
         self.update, self.resume = update, resume
@@ -308,7 +320,7 @@ class _Run:
             "job": self.jobs[number].document(),
             "granted": self.granted,
             "entry": entry,
-            "by_content": self.update,
+            "remembered": self.state is not None,
             "maker": self.maker,
         }
 
@@ -319,12 +331,11 @@ class _Run:
     def _without_running(self, number: int) -> JobRecord | None:
         """The record of a job that need not or cannot be run."""
         job = self.jobs[number]
-        if self.skip_existing and all(map(os.path.lexists, job.outputs)):
+        if self.skip_existing and all(map(os.path.exists, job.outputs)):
             return self._plain(number, "skipped")
-        for path in job.inputs:
-            maker = self.makers.get(os.path.realpath(path))
-            if maker not in (None, number) and self.records[maker].exit_code:
-                error = f"{path} is made by job {maker + 1}, which failed"
+        for path, other in self.needs[number].items():
+            if self.records[other].exit_code:
+                error = f"{path} is made by job {other + 1}, which failed"
                 return self._plain(
                     number, "failed", error=error, exit_code=int(InputError.exit_code)
                 )
@@ -350,15 +361,37 @@ def _makers(jobs: Sequence[Job]) -> dict[str, int]:
     return makers
 
 
-def _order(jobs: Sequence[Job], makers: Mapping[str, int]) -> TopologicalSorter[int]:
-    """The jobs, each after those that write its layers. Errors: `SettingError` for a circle."""
-    order: TopologicalSorter[int] = TopologicalSorter()
+def _needs(jobs: Sequence[Job], makers: Mapping[str, int]) -> list[dict[str, int]]:
+    """Of each job the layers that others write, and which job does."""
+    found = []
     for number, job in enumerate(jobs):
-        needed = {makers.get(os.path.realpath(path)) for path in job.inputs} - {None, number}
-        order.add(number, *(maker for maker in needed if maker is not None))
+        by = {path: makers.get(os.path.realpath(path), number) for path in job.inputs}
+        found.append({path: maker for path, maker in by.items() if maker != number})
+    return found
+
+
+def _order(jobs: Sequence[Job], needs: Sequence[Mapping[str, int]]) -> TopologicalSorter[int]:
+    """The jobs, each after those that write its layers. Errors: `SettingError` for a circle."""
+    order: TopologicalSorter[int] = TopologicalSorter(
+        {number: by.values() for number, by in enumerate(needs)}
+    )
     try:
         order.prepare()
     except CycleError as circle:
         names = ", ".join(jobs[number].where for number in dict.fromkeys(circle.args[1]))
         raise SettingError(f"{names} wait for each other's outputs") from None
     return order
+
+
+def _check_own_files(own: Sequence[str], jobs: Sequence[Job]) -> None:
+    """Refuses a job file, log, state or depfile that is another of them, or of a job.
+
+    Errors: `SettingError`.
+    """
+    files = [path for path in own if path != STDOUT]
+    check_places([*files, *(output for job in jobs for output in job.outputs)])
+    places = {os.path.realpath(path): path for path in files}
+    for job in jobs:
+        for path in job.inputs:
+            if own_file := places.get(os.path.realpath(path)):
+                raise SettingError(f"{own_file} is read by {job.where}: name another file")

@@ -22,7 +22,7 @@ from .. import __version__, engine, outputfile
 from ..errors import ExitCode, HpcompError, HpcompWarning, MismatchError, one_line
 from ..pipeline import stack
 from .schema import Job, jobs_of
-from .state import input_signature, is_current, job_key, output_signature
+from .state import Entry, current, entry_of, signature
 
 
 def maker() -> list[str]:
@@ -34,8 +34,8 @@ def do_job(task: dict[str, Any]) -> dict[str, Any]:
     """Does one job; what became of it.
 
     `task`: `job` as a document; `granted`, options of `stack` that hold unless the job has its own;
-    `entry`, what is known of an earlier run if the job may be up to date; `by_content`, whether
-    files are to be known by their content from now on; `maker`, which this one has to be.
+    `entry`, what is known of an earlier run if the job may be up to date; `remembered`, whether
+    what is made is to be known to later ones; `maker`, which this one has to be.
     """
     begin = time.perf_counter()
     _forget_peak()
@@ -47,11 +47,12 @@ def do_job(task: dict[str, Any]) -> dict[str, Any]:
             if task["maker"] != maker():
                 raise MismatchError(_other_maker(task["maker"]))
             (job,) = jobs_of([task["job"]])
-            if is_current(task["entry"], job):
+            entry = current(task["entry"], job)
+            if entry is not None:
                 result["status"] = "current"
-                result["entry"] = task["entry"]
             else:
-                result["entry"] = _made(job, task["granted"], task["by_content"])
+                entry = _made(job, task["granted"], task["remembered"])
+            result["entry"] = entry
         except HpcompError as error:
             result |= failure(str(error), error.exit_code)
         except Exception as error:
@@ -69,12 +70,11 @@ def failure(message: str, code: ExitCode) -> dict[str, Any]:
     return {"status": "failed", "error": one_line(message), "exit_code": int(code)}
 
 
-def _made(job: Job, granted: dict[str, Any], by_content: bool) -> dict[str, Any]:
-    """Makes the stack; what is to be known of it afterwards."""
-    inputs = {path: input_signature(path, by_content) for path in job.inputs}
+def _made(job: Job, granted: dict[str, Any], remembered: bool) -> Entry | None:
+    """Makes the stack; what is to be known of it afterwards, if that is remembered."""
+    inputs = {path: signature(path) for path in job.inputs} if remembered else {}
     stack(job.layers, job.output, **{**granted, **job.options})
-    outputs = {path: output_signature(path) for path in job.outputs}
-    return {"key": job_key(job), "inputs": inputs, "outputs": outputs}
+    return entry_of(job, inputs) if remembered else None
 
 
 def _other_maker(asked: list[str]) -> str:

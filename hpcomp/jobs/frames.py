@@ -13,9 +13,13 @@ from ..placedstack import Layer, layer_specs
 from ..stackfile import LayerSpec
 from .schema import Job, job_of_stack
 
-_RANGE = re.compile(r"(-?\d+)(?:-(-?\d+)(?:x(\d+))?)?", re.ASCII)
+_RANGE = re.compile(r"(-?\d{1,9})(?:-(-?\d{1,9})(?:x(\d{1,9}))?)?", re.ASCII)
 #: `%d`, `%04d`, or as many # as there are digits.
-_PATTERN = re.compile(r"%(?P<width>0?\d*)d|(?P<hashes>#+)", re.ASCII)
+_PATTERN = re.compile(r"%(?P<width>0?\d{0,2})[di]|(?P<hashes>##+)", re.ASCII)
+#: A # alone, in a name that has no other pattern and no folder behind it.
+_LONE = re.compile(r"(?P<hashes>#)(?=[^/]*\Z)")
+#: More frames than any sequence has.
+MOST_FRAMES = 10**6
 
 
 def parse_frames(text: str) -> list[int]:
@@ -31,6 +35,8 @@ def parse_frames(text: str) -> list[int]:
         first, last, step = int(match[1]), int(match[2] or match[1]), int(match[3] or 1)
         if last < first or step == 0:
             raise SettingError(f"frames {part} are none: write first-last, and a step from 1")
+        if len(frames) + (last - first) // step >= MOST_FRAMES:
+            raise SettingError(f"frames {text} are more than {MOST_FRAMES}: make them in parts")
         frames += range(first, last + 1, step)
     if len(set(frames)) < len(frames):
         raise SettingError(f"frames {text} name one frame twice")
@@ -44,7 +50,12 @@ def has_pattern(path: str) -> bool:
 
 def is_numbered(path: str) -> bool:
     """Whether the path has a place for the number of a frame."""
-    return bool(_PATTERN.search(path))
+    return bool(_pattern_of(path).search(path))
+
+
+def _pattern_of(path: str) -> re.Pattern[str]:
+    """What stands for the number in this path."""
+    return _PATTERN if _PATTERN.search(path) else _LONE
 
 
 def numbered(path: str, frame: int) -> str:
@@ -55,7 +66,7 @@ def numbered(path: str, frame: int) -> str:
             return f"{frame:0{len(match['hashes'])}d}"
         return f"%{match['width']}d" % frame
 
-    return _PATTERN.sub(number, path)
+    return _pattern_of(path).sub(number, path)
 
 
 def frame_jobs(
@@ -112,5 +123,5 @@ def check_no_frames(layers: Sequence[Layer]) -> None:
     """`SettingError` where a layer is a pattern of frames, and frames were not asked for."""
     for spec in layer_specs(layers):
         # One # may well be a part of a name.
-        if has_pattern(spec.path) and re.search(r"%0?\d*d|##", spec.path):
+        if has_pattern(spec.path) and _PATTERN.search(spec.path):
             raise SettingError(f"{spec.path} is a pattern of frames: say which with --frames")

@@ -10,9 +10,9 @@ import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
-from ..errors import InputError, OutputError, SettingError, unknown_key, unknown_name, why
+from ..errors import InputError, SettingError, unknown_key, unknown_name, why
 from ..imagefile import STDIN
-from ..outputfile import whole_output
+from ..outputfile import whole_output, writing
 from .lines import Lines, json_keys, toml_keys
 from .schema import (
     SCHEMA_VERSION,
@@ -124,9 +124,11 @@ def _toml(label: str, text: str) -> Iterator[Job]:
 
     try:
         document = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as reason:
+    except (ValueError, RecursionError) as reason:
         raise InputError(f"{label}: is not TOML: {reason}") from None
-    yield from _document_jobs(label, document, Lines(text, document, toml_keys).line_of)
+    yield from _document_jobs(
+        label, document, Lines(text, document, toml_keys, by_table=True).line_of
+    )
 
 
 def _json(label: str, text: str) -> Iterator[Job]:
@@ -144,6 +146,8 @@ def _parsed_json(label: str, first_line: int, text: str) -> Any:
         raise SettingError(
             f"{label}{f':{first_line}' if first_line > 1 else ''}: {problem}"
         ) from None
+    except (ValueError, RecursionError) as reason:  # a number too long, brackets too deep
+        raise InputError(f"{label}: is not JSON that can be read: {reason}") from None
 
 
 def _no_key_twice(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
@@ -261,7 +265,7 @@ def save_jobs(jobs: Sequence[Job], path: str | os.PathLike[str], *, clobber: boo
         raise SettingError(
             f"{path} ends in none of {', '.join(WRITTEN)}: jobs are written as these"
         )
-    try:
+    with writing(path):
         if ending == ".json":
             document = {"version": SCHEMA_VERSION, "jobs": [job.document() for job in jobs]}
             with whole_output(path, clobber=clobber) as target, open(target, "w") as file:
@@ -271,5 +275,3 @@ def save_jobs(jobs: Sequence[Job], path: str | os.PathLike[str], *, clobber: boo
         with open(path, "ab", buffering=0) as log:
             # At once, so that lines of several commands do not mix.
             log.write("".join(f"{line}\n" for line in lines).encode())
-    except OSError as reason:
-        raise OutputError(f"{path}: cannot be written: {why(reason)}") from None

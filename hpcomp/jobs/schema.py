@@ -50,11 +50,11 @@ class Job:
     def outputs(self) -> list[str]:
         """The files that it writes, the picture first."""
         reports = self.options.get("report") or []
-        provenance = self.options.get("provenance")
+        others = [self.options.get(name) for name in ("provenance", "depfile")]
         return [
             self.output,
             *([reports] if isinstance(reports, str) else reports),
-            *([provenance] if provenance else []),
+            *(path for path in others if path),
         ]
 
     def document(self) -> dict[str, Any]:
@@ -177,6 +177,7 @@ def _layer(number: int, layer: Any, table: Mapping[str, Any]) -> LayerSpec:
             spec = LayerSpec(**settings)
         if spec.path == STDIN:
             raise SettingError("a job cannot read stdin: name a file")
+        _check_path(spec.path, table, "layers")
         return spec
     except MisplacedError as problem:
         raise MisplacedError(f"layer {number}: {problem}", problem.table, problem.key) from None
@@ -186,7 +187,9 @@ def _layer(number: int, layer: Any, table: Mapping[str, Any]) -> LayerSpec:
 
 def checked_job(table: Any, defaults: Mapping[str, Any], where: str) -> Job:
     if not isinstance(table, Mapping):
-        raise SettingError(f"it is no table of layers, output and options, but {json.dumps(table)}")
+        raise SettingError(
+            f"it is no table of layers, output and options, but {json.dumps(table, default=str)}"
+        )
     for key in ("layers", "output"):
         if key not in table:
             raise SettingError(f"it has no {key}")
@@ -201,10 +204,23 @@ def checked_job(table: Any, defaults: Mapping[str, Any], where: str) -> Job:
         raise MisplacedError(str(problem), table, problem.key) from None
     check_version(own.pop("version", SCHEMA_VERSION), table)
     output = own.pop("output")
-    if output == STDIN:
-        raise MisplacedError("a job cannot write to stdout: name a file", table, "output")
     specs = tuple(_layer(number, layer, table) for number, layer in enumerate(layers))
-    return Job(specs, output, {**defaults, **own}, where)
+    job = Job(specs, output, {**defaults, **own}, where)
+    for path in job.outputs:
+        if path == STDIN:
+            raise MisplacedError("a job cannot write to stdout: name a file", table, "output")
+        _check_path(path, table, "output")
+    return job
+
+
+def _check_path(path: str, table: object, key: str) -> None:
+    """Refuses what no file can be called."""
+    try:
+        possible = b"\0" not in os.fsencode(path)
+    except UnicodeEncodeError:
+        possible = False
+    if not possible:
+        raise MisplacedError(f"{path!a} is no name of a file", table, key)
 
 
 def check_version(version: Any, table: object) -> None:

@@ -1,24 +1,24 @@
 """What earlier runs have made and from what: so that a job which is up to date is not done again.
 
-A file is known by its size, times and inode; where these differ, or are too young to be trusted, by
-the SHA-256 of its content.
+A file is known by the SHA-256 of its content, which is not looked at again as long as its size,
+times and inode are the same, and old enough to be trusted.
 """
 
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import hashlib
 import json
 import os
-import socket
 import stat
 import time
-from collections.abc import Iterable, Iterator, Mapping
-from typing import Any
+from collections.abc import Iterable, Mapping, Sequence
+from typing import IO, Any
 
 from .. import __version__, engine
-from ..errors import OutputError, why
-from ..outputfile import remove_leftovers, whole_output
+from ..errors import OutputError, SettingError
+from ..outputfile import remove_leftovers, writing
 from ..sourcedate import VARIABLE as SOURCE_DATE
 from .schema import Job
 
@@ -28,7 +28,9 @@ RACY_NS = 2 * 10**9
 #: Options that have no part in what is written.
 _WITHOUT_EFFECT = ("threads", "max_memory", "clobber", "write_if_changed")
 
-#: What is known of a job that was done: its key, its inputs and its outputs.
+#: What is known of a file: `stat`, when that was looked at, and the SHA-256 of its content.
+Signature = dict[str, Any]
+#: What is known of a job that was done: its key, and the signatures of its inputs and outputs.
 Entry = dict[str, Any]
 
 
@@ -54,7 +56,21 @@ def _stat(path: str) -> list[int] | None:
     return [found.st_size, found.st_mtime_ns, found.st_ctime_ns, found.st_ino]
 
 
-def _sha256(path: str) -> str | None:
+#: The contents of files by path and stat: layers that many jobs share are read once.
+_known: dict[tuple[str, tuple[int, ...]], str] = {}
+
+
+def _sha256(path: str, stat_of_it: Sequence[int]) -> str | None:
+    key = (path, tuple(stat_of_it))
+    if key not in _known:
+        digest = _digest(path)
+        if digest is None or _is_racy({"stat": stat_of_it, "at": time.time_ns()}):
+            return digest
+        _known[key] = digest
+    return _known[key]
+
+
+def _digest(path: str) -> str | None:
     try:
         with open(path, "rb") as file:
             return hashlib.file_digest(file, "sha256").hexdigest()
@@ -62,63 +78,76 @@ def _sha256(path: str) -> str | None:
         return None
 
 
-def _is_racy(signature: Mapping[str, Any]) -> bool:
+def _is_racy(signature: Signature) -> bool:
     _, modified, changed, _ = signature["stat"]
     return max(modified, changed) > signature["at"] - RACY_NS
 
 
-def input_signature(path: str, by_content: bool) -> dict[str, Any]:
-    """What a file is, before it is read: should it change later, it differs from this."""
-    signature: dict[str, Any] = {"stat": _stat(path), "at": time.time_ns()}
-    if signature["stat"] and (by_content or _is_racy(signature)):
-        signature["sha256"] = _sha256(path)
-    return signature
+def signature(path: str) -> Signature:
+    """What a file is now; of an input before it is read: should it change later, it differs."""
+    found: Signature = {"stat": _stat(path), "at": time.time_ns()}
+    if found["stat"]:
+        found["sha256"] = _sha256(path, found["stat"])
+    return found
 
 
-def output_signature(path: str) -> list[int] | None:
-    """What an output is: its size and time of change, which copies with their times keep."""
-    found = _stat(path)
-    return found and found[:2]
-
-
-def _same_input(path: str, before: Mapping[str, Any]) -> bool:
+def _still(path: str, before: Signature) -> Signature | None:
+    """The signature of a file that is as it was, None of any other."""
     now = _stat(path)
     if now is None or not before.get("stat"):
-        return False
+        return None
     if now == before["stat"] and not _is_racy(before):
-        return True
-    return (
-        now[0] == before["stat"][0]
-        and before.get("sha256") is not None
-        and _sha256(path) == before["sha256"]
-    )
+        return before
+    found = signature(path)
+    return found if found.get("sha256") == before.get("sha256") is not None else None
 
 
-def is_current(entry: Entry | None, job: Job) -> bool:
-    """Whether what the job would write stands there already, made from the same."""
-    return (
-        entry is not None
-        and entry.get("key") == job_key(job)
-        and set(entry.get("inputs", ())) == set(job.inputs)
-        and all(
-            path in entry["outputs"]
-            and entry["outputs"][path] is not None
-            and output_signature(path) == entry["outputs"][path]
-            for path in job.outputs
-        )
-        and all(_same_input(path, before) for path, before in entry["inputs"].items())
-    )
+def entry_of(job: Job, inputs: Mapping[str, Signature]) -> Entry:
+    """What is to be known of a job that was just done, from what `inputs` were before."""
+    outputs = {path: signature(path) for path in job.outputs}
+    return {"key": job_key(job), "inputs": dict(inputs), "outputs": outputs}
+
+
+def current(entry: Entry | None, job: Job) -> Entry | None:
+    """What is known now of a job whose outputs stand there, made from the same; None of another."""
+    if entry is None or entry.get("key") != job_key(job):
+        return None
+    found: Entry = {"key": entry["key"]}
+    try:
+        for kind, paths in (("outputs", job.outputs), ("inputs", job.inputs)):
+            if set(entry[kind]) != set(paths):
+                return None
+            found[kind] = {}
+            for path in dict.fromkeys(paths):
+                still = _still(path, entry[kind][path])
+                if still is None:
+                    return None
+                found[kind][path] = still
+    except (AttributeError, KeyError, TypeError, ValueError):  # a line of another making
+        return None
+    return found
 
 
 # --- all jobs -------------------------------------------------------------------------------------
 
 
+#: How the name of a state file ends that has none given.
+ENDING = ".hpcomp-state"
+
+
 def state_beside(jobs: str | os.PathLike[str], needed: bool) -> str | None:
-    """Where the state of a job file is kept; None where it cannot be and is not needed."""
+    """Where the state of a job file is kept; None where it cannot be and is not needed.
+
+    Errors: `SettingError` where it is needed and the jobs come through a pipe.
+    """
     folder, name = os.path.split(os.fspath(jobs))
+    if os.path.exists(jobs) and not os.path.isfile(jobs):
+        if needed:
+            raise SettingError(f"{os.fspath(jobs)} is no file to keep a state beside: name --state")
+        return None
     if not needed and not os.access(folder or ".", os.W_OK):
         return None
-    return os.path.join(folder, f".{name}.hpcomp-state")
+    return os.path.join(folder, f".{name}{ENDING}")
 
 
 class State:
@@ -126,45 +155,66 @@ class State:
 
     SIGKILL at any moment leaves a file that can be read: it is replaced as a whole when a run
     begins, and a line that is cut short is left out. `resume` carries on the run before; without
-    it a new one begins. `prefix`: of the temporary files of this run, which the next one removes
-    should this one be killed before it can.
+    it a new one begins. `prefix`: of the temporary files of this run. The file is locked as long as
+    a run lasts; one that is not locked is of a run that is over, and what that left is removed.
+    Errors: `OutputError`, also where another run has it; `SettingError` for a file of another kind.
     """
 
     def __init__(self, path: str, jobs: Iterable[Job], resume: bool, prefix: str) -> None:
         self.path = path
         self._entries: dict[str, Entry] = {}
-        self._head: dict[str, Any] = {"run": 0}
-        self._read()
-        if _is_over(self._head):
-            targets = [output for job in jobs for output in job.outputs]
-            remove_leftovers(targets, self._head["prefix"])
-        self._head = {
-            "version": 1,
-            "run": self._head["run"] + (not resume),
-            "prefix": prefix,
-            "host": socket.gethostname(),
-            "pid": os.getpid(),
-        }
-        with self._checked("written"):
-            with whole_output(path) as target, open(target, "w") as file:
-                lines = [self._head, *self._entries.values()]
-                file.writelines(f"{json.dumps(line)}\n" for line in lines)
-            self._file = open(path, "ab", buffering=0)  # noqa: SIM115
+        self._head: dict[str, Any] = {"run": 0, "prefix": ""}
+        with contextlib.ExitStack() as opened:
+            if os.path.exists(path):
+                with writing(path, "read"):
+                    before = opened.enter_context(open(path, "rb"))
+                locked = self._lock(before)
+                self._read(before)
+                if locked and self._head["prefix"]:
+                    targets = [output for job in jobs for output in job.outputs]
+                    remove_leftovers(targets, self._head["prefix"])
+            self._head = {"version": 1, "run": self._head["run"] + (not resume), "prefix": prefix}
+            # Of one name, so that what a run leaves that is killed here the next one takes.
+            new = f"{path}.new"
+            with writing(path):
+                self._file = open(new, "ab", buffering=0)  # noqa: SIM115
+                self._lock(self._file)
+                self._file.truncate(0)
+                for line in (self._head, *self._entries.values()):
+                    self._file.write(f"{json.dumps(line)}\n".encode())
+                os.replace(new, path)
 
-    def _read(self) -> None:
+    def _lock(self, file: IO[bytes]) -> bool:
+        """Whether it is ours alone now; not where the file system knows no locks."""
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise OutputError(
+                f"{self.path} is in use: wait for the batch that is running, or name another "
+                "file with --state"
+            ) from None
+        except OSError:
+            return False
+        return True
+
+    def _read(self, file: IO[bytes]) -> None:
         """Takes in the head and the entries that can be read."""
-        if not os.path.exists(self.path):
-            return
-        with self._checked("read"), open(self.path, "rb") as file:
-            for line in file:
-                try:
-                    found = json.loads(line)
-                except ValueError:
-                    continue
-                if isinstance(found, dict) and "output" in found:
-                    self._entries[found["output"]] = found
-                elif isinstance(found, dict) and found.get("version") == 1:
-                    self._head = found
+        lines = list(file)
+        for line in lines:
+            try:
+                found = json.loads(line)
+            except (ValueError, RecursionError):
+                continue
+            if not isinstance(found, dict):
+                continue
+            if isinstance(found.get("output"), str) and "key" in found:
+                self._entries[found["output"]] = found
+            elif isinstance(found.get("run"), int) and isinstance(found.get("prefix"), str):
+                self._head = found
+        if lines and not (self._entries or self._head["run"] or self.path.endswith(ENDING)):
+            raise SettingError(
+                f"{self.path} is no state of a batch: name another file with --state"
+            )
 
     def entry(self, job: Job, of_this_run: bool) -> Entry | None:
         """What is known of a job; `of_this_run`: only if this run, or what it resumes, did it."""
@@ -174,29 +224,9 @@ class State:
     def add(self, job: Job, entry: Entry) -> None:
         """Remembers a job that was done."""
         line = {**entry, "output": os.path.abspath(job.output), "run": self._head["run"]}
-        with self._checked("written"):
+        with writing(self.path):
             self._file.write(f"{json.dumps(line)}\n".encode())
-
-    @contextlib.contextmanager
-    def _checked(self, done: str) -> Iterator[None]:
-        try:
-            yield
-        except OSError as reason:
-            raise OutputError(f"{self.path}: cannot be {done}: {why(reason)}") from None
 
     def close(self) -> None:
         """Closes the file; what was added is in it already."""
         self._file.close()
-
-
-def _is_over(head: Mapping[str, Any]) -> bool:
-    """Whether a run was of this machine and is no more."""
-    if head.get("host") != socket.gethostname():
-        return False
-    try:
-        os.kill(head["pid"], 0)
-    except ProcessLookupError:
-        return True
-    except OSError:
-        pass
-    return False
