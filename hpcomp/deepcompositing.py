@@ -16,6 +16,11 @@ from .orders import ORDERS
 from .porter_duff import operator
 from .samples import OUTPUT_TYPES, Samples, Strip
 
+#: Samples in one place that are added at once; what that takes grows faster than their number. More
+#: are sorted by hue, and then every so many neighbours are one, which keeps groups of one hue
+#: together and does not depend on the order of samples either.
+MOST_AT_ONCE = 32
+
 
 def flat(
     samples: DeepSamples, rules: StackRules, kind: str, losses: Losses, gamut: Primaries = REC709
@@ -44,7 +49,26 @@ def _coincident_rules(rules: StackRules) -> StackRules:
 
 
 def _merged_colors(rules: StackRules, counts: Ints, rgba: Floats) -> Floats:
-    return _composited(counts, rgba, rules, "plus", "float", Losses(), rules.primaries)
+    """Each run as one sample (runs, 4)."""
+    add = partial(
+        _composited, rules=rules, op="plus", kind="float", losses=Losses(), gamut=rules.primaries
+    )
+    large = counts > MOST_AT_ONCE
+    if not large.any():
+        return add(counts, rgba)
+    of_large = np.repeat(large, counts)
+    made = np.empty((len(counts), 4), np.float32)
+    made[~large] = add(counts[~large], rgba[~of_large])
+    found, lengths = rgba[of_large], counts[large]
+    _, p = rules.blending_space.forward(found[:, :3].T.astype(float))
+    run = np.repeat(np.arange(len(lengths)), lengths)
+    by_hue = np.lexsort((*found.T, np.arctan2(p[1], p[0]), run))
+    groups = -(-lengths // MOST_AT_ONCE)
+    group = np.arange(groups.sum()) - np.repeat(np.cumsum(groups) - groups, groups)
+    size, longer = np.repeat(lengths // groups, groups), np.repeat(lengths % groups, groups)
+    added = add(size + (group < longer), found[by_hue])
+    made[large] = _merged_colors(rules, groups, added)
+    return made
 
 
 def _composited(

@@ -438,3 +438,34 @@ def test_python_takes_one_file_or_several_and_says_what_it_wrote(desk):
         hpcomp.flatten([], desk / "out.exr")
     with pytest.raises(hpcomp.SettingError, match="nonfinite"):
         hpcomp.flatten(desk / "tidy.exr", desk / "out.exr", nonfinite="no")
+
+
+# ---- many in one place -----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("volume", [False, True])
+def test_a_crowd_in_one_place_keeps_a_hue_of_its_own_in_whatever_order(tmp_path, volume):
+    """More samples than are added at once: two shades of red, and as many of a weaker blue."""
+    rng = np.random.default_rng(0)
+    crowd = []
+    for number in range(200):
+        share = rng.uniform(0.5, 1)
+        red, blue = (0.02 * share, 0.001 * share, 0, 0.03), (0, 0, 0.008 * share, 0.03)
+        depth = (1, 2 + number % 7) if volume else (1, 1)
+        crowd += [(*red, *depth), (*blue, *depth)]
+    made = {}
+    for name, order in (("one", crowd), ("other", [crowd[i] for i in rng.permutation(len(crowd))])):
+        deepfile.write(tmp_path / "crowd.exr", of_pixels([[order, crowd[:3]]]))
+        for blending in ("hue-preserving", "traditional"):
+            path = tmp_path / f"{name}-{blending}.exr"
+            hpcomp.flatten(tmp_path / "crowd.exr", path, depth="float", blending=blending)
+            made[name, blending] = path.read_bytes()
+    assert made["one", "hue-preserving"] == made["other", "hue-preserving"]
+    kept = pixels_of(tmp_path / "one-hue-preserving.exr")[0, 0]
+    plain = pixels_of(tmp_path / "one-traditional.exr")[0, 0]
+    weights = np.array([0.2126, 0.7152, 0.0722])
+    assert kept[3] == pytest.approx(plain[3], abs=FLOAT)
+    assert weights @ kept[:3] == pytest.approx(weights @ plain[:3], rel=1e-4)
+    red, green, blue = kept[:3]
+    assert red > blue  # red has more chroma, and is as it was in the place of the first volumes
+    assert (green - blue) / (red - blue) == pytest.approx(0.001 / 0.02, abs=0.01)
