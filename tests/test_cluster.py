@@ -310,7 +310,7 @@ def test_a_worker_without_the_directory_says_so(desk):
 
 
 def test_a_process_that_has_waited_too_long_is_replaced(desk, monkeypatch):
-    monkeypatch.setattr(cluster, "IDLE_S", 0.05)
+    monkeypatch.setattr(cluster, "IDLE_S", 2.0)
     there = ("hpcomp.b.", str(desk.folder), {})
     before = processes_of(os.getpid())
     for table in jobs(2):
