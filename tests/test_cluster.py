@@ -290,7 +290,7 @@ def test_without_distributed_the_extra_is_named(desk):
 
 def task_of(table, **more):
     (job,) = jobs_of([table])
-    task = {"job": job.document(), "granted": {}, "entry": None, "by_content": False,
+    task = {"job": job.document(), "granted": {}, "entry": None, "remembered": False,
             "maker": doing.maker()}  # fmt: skip
     return task | more
 
