@@ -38,7 +38,7 @@ def flat(
 def _coincident_rules(rules: StackRules) -> StackRules:
     """How samples at one place add: all at once, as none is in front.
 
-    `foremost` has nothing to choose by, and takes the strongest.
+    `foremost` has nothing to choose by, and adds as hue-preserving does.
     """
     blending = rules.blending
     if blending.depends_on_depth:
