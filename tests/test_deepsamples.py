@@ -199,7 +199,7 @@ def test_opaque_points_in_one_place_share_it():
     assert np.abs(found - [2 / 3, 0, 1 / 3, 1]).max() < 1e-6
 
 
-def test_foremost_takes_the_strongest_of_one_place():
+def test_foremost_adds_in_one_place_as_hue_preserving_does():
     strong, weak = (0.0, 0.6, 0.0, 0.6, 1.0, 1.0), (0.1, 0.0, 0.0, 0.1, 1.0, 1.0)
     behind = (0.0, 0.0, 0.9, 0.9, 2.0, 2.0)
     (found,) = flattened([weak, strong, behind], blending="foremost")
