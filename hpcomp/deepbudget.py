@@ -48,6 +48,8 @@ class Need:
     granted: int
     counts: int
     chunk: int = 0
+    reducing: int = 0
+    deepest: int = 0
 
     @staticmethod
     def of(
@@ -81,7 +83,7 @@ class Need:
     def whole(self, threads: int, rows: int, samples: int) -> int:
         """Of all threads, with strips of up to so many rows and samples."""
         of_strip = rows * self.per_row + samples * self.per_sample + PIECES_BYTES
-        of_strip += self.counts + 5 * self.chunk
+        of_strip += self.counts + 5 * self.chunk + self.reducing
         waiting = (reads_ahead(threads) + writes_behind(threads)) * rows * self.held
         numpy = NUMPY_BYTES if engine.active().DECODES_IN_NUMPY else 0
         whole = self.fixed + waiting + threads * (THREAD_BYTES + numpy + of_strip)
@@ -91,7 +93,9 @@ class Need:
         """`MismatchError` that names the least memory, where one thread cannot make that row."""
         least = self.whole(1, 1, samples)
         if least > self.granted:
-            because = f", as row {row} has {samples} samples" if samples else ""
+            because = ""
+            if samples:
+                because = f", as row {row} has {samples} samples, and one pixel {self.deepest}"
             raise MismatchError(
                 f"this needs at least {-(-least // 2**20)}M{because}: raise --max-memory, which is "
                 f"{self.granted / 2**20:.0f}M"

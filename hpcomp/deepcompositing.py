@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 
@@ -9,7 +10,7 @@ import numpy as np
 
 from . import deepsamples, engine
 from .addition import BLENDINGS
-from .compositing import StackRules
+from .compositing import Reduction, StackRules
 from .deepsamples import DeepSamples, Floats, Ints
 from .encoding import REC709, Losses, Primaries
 from .orders import ORDERS
@@ -21,18 +22,42 @@ from .samples import OUTPUT_TYPES, Samples, Strip
 #: together and does not depend on the order of samples either.
 MOST_AT_ONCE = 32
 
+#: Layers of a stack that are there at a time, where they fold, and what one takes but for samples.
+FOLDED_AT_ONCE = 256
+LAYER_BYTES = 1200
+
+#: Pairs of samples that are compared at a time, in fewer pixels the deeper these are.
+PAIRS_AT_ONCE = 1 << 24
+
 
 def flat(
-    samples: DeepSamples, rules: StackRules, kind: str, losses: Losses, gamut: Primaries = REC709
+    samples: DeepSamples,
+    rules: StackRules,
+    kind: str,
+    losses: Losses,
+    gamut: Primaries = REC709,
+    go_on: Callable[[], None] = lambda: None,
 ) -> Samples:
     """The pixels (pixels, 4) as samples of that kind; codes are of that gamut.
 
-    `rules`: of a stack of any height. In a pixel the farthest sample is the bottom.
+    `rules`: of a stack of any height. In a pixel the farthest sample is the bottom. `go_on` is
+    called now and then, and may raise.
     """
-    merge = partial(_merged_colors, _coincident_rules(rules))
+    merge = partial(_merged_colors, _coincident_rules(rules), go_on)
     with np.errstate(all="ignore"):  # NaN and Inf may have been let through
         counts, rgba = deepsamples.visible(*deepsamples.tidied(samples, merge))
-    return _composited(counts, rgba, rules, "over", kind, losses, gamut)
+    return _composited(counts, rgba, rules, "over", kind, losses, gamut, go_on)
+
+
+def bytes_to_reduce(rules: StackRules, samples: int, has_volumes: bool) -> int:
+    """Memory that a pixel of so many samples takes beside these, at most."""
+    pieces = 2 * samples if has_volumes else samples
+    height = int(deepsamples.stack_heights(np.array([pieces]))[0])
+    of_stack, of_place = (
+        engine.active().bytes_to_reduce(of, layers) + _layers_at_once(of, layers) * LAYER_BYTES
+        for of, layers in ((rules, height), (_coincident_rules(rules), min(samples, MOST_AT_ONCE)))
+    )
+    return max(of_stack, of_place)
 
 
 def _coincident_rules(rules: StackRules) -> StackRules:
@@ -48,11 +73,14 @@ def _coincident_rules(rules: StackRules) -> StackRules:
     )
 
 
-def _merged_colors(rules: StackRules, counts: Ints, rgba: Floats) -> Floats:
+def _merged_colors(
+    rules: StackRules, go_on: Callable[[], None], counts: Ints, rgba: Floats
+) -> Floats:
     """Each run as one sample (runs, 4)."""
-    add = partial(
-        _composited, rules=rules, op="plus", kind="float", losses=Losses(), gamut=rules.primaries
-    )
+
+    def add(counts: Ints, rgba: Floats) -> Floats:
+        return _composited(counts, rgba, rules, "plus", "float", Losses(), rules.primaries, go_on)
+
     large = counts > MOST_AT_ONCE
     if not large.any():
         return add(counts, rgba)
@@ -67,7 +95,7 @@ def _merged_colors(rules: StackRules, counts: Ints, rgba: Floats) -> Floats:
     group = np.arange(groups.sum()) - np.repeat(np.cumsum(groups) - groups, groups)
     size, longer = np.repeat(lengths // groups, groups), np.repeat(lengths % groups, groups)
     added = add(size + (group < longer), found[by_hue])
-    made[large] = _merged_colors(rules, groups, added)
+    made[large] = _merged_colors(rules, go_on, groups, added)
     return made
 
 
@@ -79,6 +107,7 @@ def _composited(
     kind: str,
     losses: Losses,
     gamut: Primaries,
+    go_on: Callable[[], None],
 ) -> Samples:
     """The samples of each pixel, front first, as a stack with that operator: (pixels, 4)."""
     made: Samples = np.empty((len(counts), 4), OUTPUT_TYPES[kind])
@@ -89,8 +118,19 @@ def _composited(
             operators=(None, *[operator(op)] * (height - 1)),
             opacities=(1.0,) * height,
         )
-        accumulator = engine.start(of_height, len(pixels), 1)
-        numbers = list(of_height.arrival)
-        accumulator.add(numbers, [Strip(stack[number][None]) for number in numbers])
-        made[pixels] = accumulator.result(kind, losses, gamut)[0]
+        arrival, layers_at_once = list(of_height.arrival), _layers_at_once(of_height, height)
+        pixels_at_once = max(1, PAIRS_AT_ONCE // height**2)
+        for first in range(0, len(pixels), pixels_at_once):
+            go_on()
+            part = slice(first, first + pixels_at_once)
+            accumulator = engine.start(of_height, len(pixels[part]), 1)
+            for begin in range(0, height, layers_at_once):
+                numbers = arrival[begin : begin + layers_at_once]
+                accumulator.add(numbers, [Strip(stack[number, part][None]) for number in numbers])
+            made[pixels[part]] = accumulator.result(kind, losses, gamut)[0]
     return made
+
+
+def _layers_at_once(rules: StackRules, layers: int) -> int:
+    """How many of them an accumulator takes at a time."""
+    return layers if rules.reduction is Reduction.ALL_LAYERS else min(layers, FOLDED_AT_ONCE)

@@ -129,7 +129,7 @@ def layers(counts: Ints, rgba: Floats) -> Iterator[tuple[Ints, Floats]]:
     """
     padded = np.concatenate([rgba, np.zeros((1, 4), rgba.dtype)])
     behind = _starts(counts) + counts - 1
-    heights = _heights(counts)
+    heights = stack_heights(counts)
     for height in np.unique(heights):
         pixels = np.flatnonzero(heights == height)
         from_back = np.arange(height)[:, None]
@@ -137,8 +137,11 @@ def layers(counts: Ints, rgba: Floats) -> Iterator[tuple[Ints, Floats]]:
         yield pixels, padded[index]
 
 
-def _heights(counts: Ints) -> Ints:
-    """The layers of the stack that a pixel is in: at least 1, and at most a quarter too many."""
+def stack_heights(counts: Ints) -> Ints:
+    """The layers of the stack that a pixel with so many samples is in, one of `layers`.
+
+    At least 1, and at most a quarter too many.
+    """
     counts = np.maximum(counts, 1)
     step = 2.0 ** (np.floor(np.log2(np.maximum(counts - 1, 1))) - 2)
     return np.where(counts <= _EXACT_COUNTS, counts, np.ceil(counts / step) * step).astype(int)

@@ -1,8 +1,9 @@
 """Which engine composites: the fused kernel where it was built, else the reference.
 
 Both have the same face: `NAME`, and `start(rules, width, height, dtype)` for a strip, whose `add`
-takes layers, whose `result` gives samples, and whose `nonfinite` counts pixels with NaN or Inf; and
-the module named in `MEASURING`, whose `findings` say what blending did to the hues of a strip, and
+takes layers, whose `result` gives samples, and whose `nonfinite` counts pixels with NaN or Inf;
+`bytes_to_reduce(rules, layers)`, memory that a strip takes beside its samples; and the module named
+in `MEASURING`, whose `findings` say what blending did to the hues of a strip, and
 `result_and_findings` that beside the result.
 """
 
@@ -10,7 +11,9 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
+from functools import cache
 from importlib import import_module
+from threading import Lock
 from types import ModuleType
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -30,6 +33,8 @@ if TYPE_CHECKING:  # only reports need them
 VARIABLE = "HPCOMP_ENGINE"
 NAMES = ("kernel", "reference")
 
+_looking = Lock()
+
 
 class Accumulator(Protocol):
     """Takes the layers of one strip in `rules.arrival` order, and gives their composite."""
@@ -44,6 +49,14 @@ class Accumulator(Protocol):
 
 
 def _kernel() -> ModuleType | None:
+    # One thread looks for it, once: others that tried beside it could be given what is left of an
+    # import that failed.
+    with _looking:
+        return _found_kernel()
+
+
+@cache
+def _found_kernel() -> ModuleType | None:
     try:
         from . import kernel
     except ImportError:

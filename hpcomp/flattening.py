@@ -9,7 +9,7 @@ import contextlib
 import logging
 import os
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from threading import Lock
@@ -23,7 +23,7 @@ from .budget import DEFAULT_MAX_MEMORY, parse_bytes
 from .canvas import LayerWindows, lay_out, output_window, parse_canvas
 from .compositing import StackRules
 from .deepbudget import Need
-from .deepcompositing import flat
+from .deepcompositing import bytes_to_reduce, flat
 from .deepsamples import DeepSamples
 from .depfile import Depfile
 from .encoding import BOTTOM, Losses
@@ -192,39 +192,14 @@ def flatten(
         readers = [opened.enter_context(_opened_image(spec, nonfinite)) for spec in specs]
         if primaries == BOTTOM:
             rules = rules.in_primaries(readers[0].decoding.encoding.primaries)
-        for reader in readers:
-            reader.work_in(rules.primaries)
-            warn_of_problems(reader, notices)
-            if reader.part.pixel_aspect != readers[0].part.pixel_aspect:
-                notices.warn(
-                    f"{reader.label} has pixels of aspect {reader.part.pixel_aspect:g}, "
-                    f"{readers[0].label} of {readers[0].part.pixel_aspect:g}: resample it first"
-                )
-        found = lay_out(
-            [
-                LayerWindows(r.label, r.part.display_window, r.window, spec.placement)
-                for spec, r in zip(specs, readers, strict=True)
-            ],
-            wanted_canvas,
-        )
-        moved = [r.window.moved(*by) for r, by in zip(readers, found.offsets, strict=True)]
-        window = output_window(found.window, moved, overscan, wanted_region)
-        need = Need.of(readers, moved, window, form, max_bytes)
-        counted = [reader.row_samples() for reader in readers]
-        need = replace(need, chunk=max(chunk for _, chunk in counted))
-        placed = [
-            PlacedImage(reader, *by) for reader, by in zip(readers, found.offsets, strict=True)
-        ]
-        row_samples = np.zeros(window.height, np.int64)
-        for image, (samples_of_rows, _) in zip(placed, counted, strict=True):
-            image.add_rows(samples_of_rows, window, row_samples)
-        n_threads, strips = need.strips(row_samples, n_threads)
+        _prepare(readers, rules, notices)
+        placed, found = _placed(specs, readers, wanted_canvas)
+        window = output_window(found, [image.window for image in placed], overscan, wanted_region)
+        n_threads, strips = _strips(placed, window, rules, form, max_bytes, n_threads)
         opened.enter_context(codec_threads([form], reading=1, writing=n_threads))
         log.info(
-            "%d samples in %d deep files on canvas %s, %s, order %s, space %s, primaries %s",
-            sum(int(rows.sum()) for rows, _ in counted),
-            len(specs),
-            found.window,
+            "canvas %s, %s, order %s, space %s, primaries %s",
+            found,
             blending,
             rules.order.name,
             rules.space.name,
@@ -241,7 +216,7 @@ def flatten(
             target,
             form,
             window,
-            found.window,
+            found,
             primaries=rules.primaries,
             pixel_aspect=readers[0].part.pixel_aspect,
             pixels_per_metre=readers[0].part.pixels_per_metre,
@@ -252,7 +227,8 @@ def flatten(
             with Workers[Samples](n_threads) as workers:
                 # Each strip is a source of its own: they are read and flattened side by side.
                 made = workers.read_ahead(
-                    (number, partial(work.strip, rows)) for number, rows in enumerate(strips)
+                    (number, partial(work.strip, rows, workers.go_on))
+                    for number, rows in enumerate(strips)
                 )
                 for rows, samples in zip(strips, made, strict=True):
                     prepare = partial(writer.prepare, rows.y - window.y, samples)
@@ -269,7 +245,7 @@ def flatten(
                 samples_are = "1 sample is" if left_out == 1 else f"{left_out} samples are"
                 notices.warn(f"{image.reader.label}: {samples_are} NaN or infinite, and left out")
         warn_of_losses(shown, work.losses, notices)
-    return StackResult(output, found.window, window, work.losses)
+    return StackResult(output, found, window, work.losses)
 
 
 def deep_specs(images: Sequence[Layer]) -> list[LayerSpec]:
@@ -307,6 +283,59 @@ def _opened_image(spec: LayerSpec, nonfinite: str) -> Iterator[DeepReader]:
             reader.close()
 
 
+def _prepare(readers: Sequence[DeepReader], rules: StackRules, notices: Notices) -> None:
+    """Has them decode into the working primaries, and warns of what is odd about them."""
+    aspect = readers[0].part.pixel_aspect
+    for reader in readers:
+        reader.work_in(rules.primaries)
+        warn_of_problems(reader, notices)
+        if reader.part.pixel_aspect != aspect:
+            notices.warn(
+                f"{reader.label} has pixels of aspect {reader.part.pixel_aspect:g}, "
+                f"{readers[0].label} of {aspect:g}: resample it first"
+            )
+
+
+def _placed(
+    specs: Sequence[LayerSpec], readers: Sequence[DeepReader], canvas: str | Window
+) -> tuple[list[PlacedImage], Window]:
+    """The images where they lie, and the canvas."""
+    found = lay_out(
+        [
+            LayerWindows(r.label, r.part.display_window, r.window, spec.placement)
+            for spec, r in zip(specs, readers, strict=True)
+        ],
+        canvas,
+    )
+    placed = [PlacedImage(reader, *by) for reader, by in zip(readers, found.offsets, strict=True)]
+    return placed, found.window
+
+
+def _strips(
+    images: Sequence[PlacedImage],
+    window: Window,
+    rules: StackRules,
+    form: OutputForm,
+    max_bytes: int,
+    threads: int,
+) -> tuple[int, list[Window]]:
+    """How many threads memory allows, and the strips in which it allows the window to be made."""
+    readers = [image.reader for image in images]
+    need = Need.of(readers, [image.window for image in images], window, form, max_bytes)
+    row_samples = np.zeros(window.height, np.int64)
+    largest_chunk = deepest = 0
+    for image in images:
+        counts = image.reader.count()
+        image.add_rows(counts.rows, window, row_samples)
+        largest_chunk = max(largest_chunk, counts.largest_chunk)
+        deepest += counts.deepest  # no pixel has more
+    log.info("%d samples, up to %d in a pixel", row_samples.sum(), deepest)
+    has_volumes = any(reader.has_volumes for reader in readers)
+    reducing = bytes_to_reduce(rules, deepest, has_volumes)
+    need = replace(need, chunk=largest_chunk, reducing=reducing, deepest=deepest)
+    return need.strips(row_samples, threads)
+
+
 class _Work:
     """Makes the strips, in any thread; counts what was lost on the way."""
 
@@ -317,14 +346,14 @@ class _Work:
         self.left_out = [0] * len(images)
         self.seconds = {"reading": 0.0, "compositing": 0.0}
 
-    def strip(self, rows: Window) -> Samples:
-        """The flat picture (height, width, 4) of `rows` of the canvas."""
+    def strip(self, rows: Window, go_on: Callable[[], None]) -> Samples:
+        """The flat picture (height, width, 4) of `rows` of the canvas; `go_on` as in `flat`."""
         begin = time.perf_counter()
         read = [image.read(rows) for image in self._images]
         has_read = time.perf_counter()
         samples = deepsamples.merged([found for found, _ in read])
         lost = Losses()
-        made = flat(samples, self._rules, self._form.kind, lost, self._form.gamut)
+        made = flat(samples, self._rules, self._form.kind, lost, self._form.gamut, go_on)
         done = time.perf_counter()
         with self._lock:
             self.losses.add(lost)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from .compositing import Reduction, StackRules
 from .encoding import REC709, Losses, Primaries
 from .gamut import bounds_of, colors_within
+from .orders import ORDERS
 from .samples import Samples, Strip, cropped, encode, linear_rgba, spread
 from .terms import term, weighted
 
@@ -29,10 +30,23 @@ MEASURING = "hpcomp.findings"
 #: Pixels that are composited at a time, so that a few planes of them stay in the L2 cache.
 BLOCK_PIXELS = 16_384
 
+#: Of two terms that are added at once: their shoulder, support, rivalry, and what these take.
+PAIR_BYTES = 36
+
 
 def start(rules: StackRules, width: int, height: int, dtype: Any = np.float32) -> _Accumulator:
     """An empty accumulator for a strip of that size, of the kind that the rules need."""
     return _ACCUMULATORS[rules.reduction](rules, width, height, dtype)
+
+
+def bytes_to_reduce(rules: StackRules, layers: int) -> int:
+    """Memory that a strip of so many layers takes beside its samples, whatever its size.
+
+    The pairs of the terms of one pixel, where these are more than those of a block.
+    """
+    if rules.reduction is not Reduction.ALL_LAYERS or rules.order is not ORDERS["simultaneous"]:
+        return 0
+    return layers**2 * PAIR_BYTES
 
 
 class _Accumulator(ABC):

@@ -7,7 +7,7 @@ import os
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
 from threading import Event, Lock
 from typing import Any, Generic, TypeVar
 
@@ -54,14 +54,22 @@ class Workers(Generic[T]):
         self._writes: deque[Future[None]] = deque()
         self._last_write: Event | None = None
         self._write_failed = False
+        self._given_up = Event()
         self._lock = Lock()
 
     def __enter__(self) -> Workers[T]:
         return self
 
-    def __exit__(self, *failure: object) -> None:
+    def __exit__(self, failure: object, *where: object) -> None:
+        if failure is not None:
+            self._given_up.set()
         if self._pool is not None:
             self._pool.shutdown(cancel_futures=True)
+
+    def go_on(self) -> None:
+        """Ends work that nobody waits for any more; long work is to call it now and then."""
+        if self._given_up.is_set():
+            raise CancelledError
 
     def read_ahead(self, reads: Iterable[tuple[int, Callable[[], T]]]) -> Iterator[T]:
         """The results of `(source, read)` in their order, some read ahead.

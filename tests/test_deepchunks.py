@@ -41,9 +41,9 @@ def samples_of(reader, rows=1000):
 def read_whole(path, **options):
     """How many samples there are, as counted before and as read."""
     reader = reader_of(path, **options)
-    rows, _ = reader.row_samples()
+    counted = reader.count()
     counts, *_ = samples_of(reader)
-    return rows.sum(), counts.sum()
+    return counted.rows.sum(), counts.sum()
 
 
 def refused(content, tmp_path, *says, error=InputError, **options):
@@ -101,14 +101,15 @@ def test_files_that_openexr_writes(tmp_path, compression, tile):
 
 
 @pytest.mark.parametrize("tile", [None, (5, 4)])
-def test_rows_say_how_many_samples_they_have(tmp_path, tile):
+def test_how_many_samples_there_are_is_known_before_they_are_read(tmp_path, tile):
     deep = noise(13, 11, 5, tile=tile)
-    rows, largest = reader_of(deepfile.write(tmp_path / "a.exr", deep)).row_samples()
-    assert np.array_equal(rows, deep.counts.sum(axis=1))
+    counted = reader_of(deepfile.write(tmp_path / "a.exr", deep)).count()
+    assert np.array_equal(counted.rows, deep.counts.sum(axis=1))
+    assert counted.deepest == deep.counts.max()
     chunks = [deep.counts[i : i + 1] for i in range(11)]
     if tile:
         chunks = [deep.counts[y : y + 4, x : x + 5] for y in (0, 4, 8) for x in (0, 5, 10)]
-    assert largest == 24 * max(chunk.sum() for chunk in chunks)
+    assert counted.largest_chunk == 24 * max(chunk.sum() for chunk in chunks)
 
 
 def test_a_part_is_chosen_by_name_or_number(tmp_path):

@@ -54,6 +54,24 @@ def flattened(*pixels, blending="hue-preserving", order="bottom-up"):
     return flat(of_pixels(*pixels), rules, "float", Losses(), REC709)
 
 
+def test_work_can_be_given_up_in_the_middle():
+    """Of one pixel of many volumes that overlap, and of many deep ones in one stack."""
+    volumes = [(0.01, 0.0, 0.01 * (n % 2), 0.02, n, 1000.0 - n) for n in range(300)]
+    points = [[(0.01, 0.0, 0.01 * (n % 2), 0.02, n, n) for n in range(2000)]] * 40
+    for pixels in ([volumes], points):
+        done = []
+
+        def go_on(done=done):
+            done.append(True)
+            if len(done) == 9:
+                raise KeyError
+
+        rules = stack_rules(1, order="simultaneous")
+        with pytest.raises(KeyError):
+            flat(of_pixels(*pixels), rules, "float", Losses(), REC709, go_on)
+        assert len(done) == 9
+
+
 def plain_sum(counts, rgba):
     return np.add.reduceat(rgba, np.cumsum(counts) - counts, axis=0)
 

@@ -241,6 +241,43 @@ def test_memory_stays_in_the_budget(tmp_path, threads, options):
         assert most - base <= budget + NOISE_M
 
 
+def skewed(samples, seed=0):
+    """32 pixels of a sample each, but for one of so many, at depths of their own, of two labels."""
+    rng = np.random.default_rng(seed)
+    counts = np.ones((4, 8), int)
+    counts[2, 3] = samples
+    alpha = rng.uniform(0.0005, 0.01, counts.sum())
+    labels = np.array([(1, 0.05, 0), (0, 0.1, 1)])[rng.integers(0, 2, len(alpha))]
+    colors = labels * (alpha * rng.uniform(0.3, 1, len(alpha)))[:, None]
+    planes = {name: plane.astype("f2") for name, plane in zip("RGB", colors.T, strict=True)}
+    depth = rng.permutation(len(alpha)).astype("f4")
+    return Deep(counts, {**planes, "A": alpha.astype("f2"), "Z": depth})
+
+
+@pytest.mark.parametrize("order", ORDER_NAMES)
+def test_thousands_of_samples_in_one_pixel_stay_in_the_budget(tmp_path, order):
+    deepfile.write(tmp_path / "tiny.exr", skewed(3))
+    deepfile.write(tmp_path / "a.exr", skewed(5000))
+    how = ["-o", tmp_path / "out.exr", "--order", order, "--depth", "float"]
+    base, *_ = peak([tmp_path / "tiny.exr", *how])
+    most, code, stderr = peak([tmp_path / "a.exr", *how, "--max-memory", "96M"])
+    assert (code, stderr) == (0, "")
+    assert most - base <= 96 + NOISE_M
+    # Of two hues one is left, and it is that of a label.
+    red, green, blue, alpha = pixels_of(tmp_path / "out.exr")[2, 3]
+    assert alpha > 0.99
+    strong, weak = max(red, blue), min(red, blue)
+    assert (green - weak) / (strong - weak) == pytest.approx(0.05 if red > blue else 0.1, abs=0.01)
+
+
+@pytest.mark.parametrize("order", ["balanced", "simultaneous"])
+def test_a_pixel_that_does_not_fit_names_the_least_memory(desk, order):
+    deepfile.write(desk / "a.exr", skewed(5000))
+    how = ("flatten", "a.exr", "-o", "x.exr", "--order", order, "--max-memory")
+    line = desk.refuses(4, *how, "48M", says=["at least", "and one pixel 5000", "which is 48M"])
+    desk.makes(*how, line.partition("at least ")[2].partition(",")[0])
+
+
 def test_memory_does_not_follow_the_height(tmp_path):
     """500 rows more are 46 MiB of samples; what their offsets and counts take is far less."""
     peaks = []
@@ -260,7 +297,7 @@ def test_a_row_that_does_not_fit_names_the_least_memory(desk):
     deepfile.write(desk / "a.exr", Deep(counts, planes, origin=(0, 5)))
     line = desk.refuses(
         4, "flatten", "a.exr", "-o", "x.exr", "--max-memory", "20M",
-        says=["at least", "row 8 has 100019 samples", "--max-memory, which is 20M"],
+        says=["at least", "row 8 has 100019 samples, and one pixel 100000", "which is 20M"],
     )  # fmt: skip
     least = line.partition("at least ")[2].partition(",")[0]
     planes["Z"][:] = np.arange(counts.sum()) % 1000
@@ -414,7 +451,7 @@ def test_samples_that_are_not_finite(desk):
 def test_verbose_says_what_is_done_and_help_what_can_be(desk):
     run = desk.run("flatten", "tidy.exr", "-o", "out.exr", "-v")
     assert run.code == 0
-    assert f"{noise(31, 23, 6).counts.sum()} samples in 1 deep files" in run.stderr
+    assert f"{noise(31, 23, 6).counts.sum()} samples, up to 6 in a pixel" in run.stderr
     assert f"engine {engine.active().NAME}" in run.stderr
     run = desk.run("flatten", "--help")
     assert run.code == 0

@@ -84,6 +84,18 @@ class DeepChunk:
     packed_bytes: int
 
 
+@dataclass(frozen=True)
+class DeepCounts:
+    """How many samples an image has: each row (height), and the pixel with most of them.
+
+    `largest_chunk`: the bytes of the largest chunk, unpacked.
+    """
+
+    rows: Counts
+    deepest: int
+    largest_chunk: int
+
+
 def layout_of(file: RawFile, part: int, label: str) -> DeepLayout:
     """The layout of the deep part of that number. Errors: `InputError`."""
     size = _HEADER_BYTES
@@ -163,21 +175,21 @@ class DeepChunks:
     def close(self) -> None:
         self._file.close()
 
-    def row_samples(self) -> tuple[Counts, int]:
-        """How many samples each row has, from the top, and the bytes of the largest chunk unpacked.
+    def count(self) -> DeepCounts:
+        """How many samples there are, from the tables of counts alone.
 
-        From the tables of counts alone, so that damage in them is found before all else.
-        Errors: `InputError`.
+        So damage in these is found before all else. Errors: `InputError`.
         """
         window = self.layout.window
-        totals = np.zeros(window.height, np.int64)
-        largest = 0
+        rows = np.zeros(window.height, np.int64)
+        deepest = largest = 0
         for number in range(len(self.layout.offsets)):
             chunk = self._chunk(number)
             top = chunk.window.y - window.y
-            totals[top : top + chunk.window.height] += chunk.counts.sum(axis=1)
+            rows[top : top + chunk.window.height] += chunk.counts.sum(axis=1)
+            deepest = max(deepest, int(chunk.counts.max()))
             largest = max(largest, int(chunk.counts.sum()) * self.layout.sample_bytes)
-        return totals, largest
+        return DeepCounts(rows, deepest, largest)
 
     def read(self, begin: int, end: int) -> tuple[Counts, dict[str, NDArray[np.float32]]]:
         """Rows `begin` to `end` in the file's coordinates.

@@ -13,7 +13,7 @@ from ..encoding import Primaries, color_space
 from ..errors import InputError, MismatchError, unknown_name
 from ..geometry import Window
 from ..samples import Decoding, decode
-from .deepchunks import DeepChunks, layout_of
+from .deepchunks import DeepChunks, DeepCounts, layout_of
 from .parts import ColorGroup, ImageFile, Part, deep_alpha
 from .rawfile import RawFile
 from .reading import NONFINITE_POLICIES
@@ -103,9 +103,9 @@ class DeepReader:
     def close(self) -> None:
         self._chunks.close()
 
-    def row_samples(self) -> tuple[NDArray[np.int64], int]:
-        """How many samples each row has, and the bytes of the largest chunk; see `DeepChunks`."""
-        return self._chunks.row_samples()
+    def count(self) -> DeepCounts:
+        """How many samples there are; see `DeepChunks.count`."""
+        return self._chunks.count()
 
     def read(self, begin: int, end: int) -> tuple[DeepSamples, int]:
         """Rows `begin` to `end` in the file's coordinates, and how many samples were left out.

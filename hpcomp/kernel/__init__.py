@@ -53,6 +53,13 @@ def start(rules: StackRules, width: int, height: int, dtype: Any = np.float32) -
     return Accumulator(rules, width, height)
 
 
+def bytes_to_reduce(rules: StackRules, layers: int) -> int:
+    """Memory that a strip of so many layers takes beside its samples, whatever its size."""
+    if rules.reduction is not Reduction.ALL_LAYERS:
+        return 0
+    return int(_kernel.scratch_bytes(_order_of(rules), layers))
+
+
 class Accumulator:
     """Takes the layers of one strip in `rules.arrival` order, and gives their composite."""
 
@@ -137,16 +144,8 @@ def layer_of(
 def rules_of(rules: StackRules) -> Any:
     """The rules in numbers, for the loops."""
     n, space = len(rules.operators), rules.blending_space
-    order, sequence = _PERMUTATION, rules.order.sequence
-    if rules.reduction is Reduction.BOTTOM_UP:
-        order = _BOTTOM_UP
-    elif rules.reduction is Reduction.FRONT_TO_BACK:
-        order = _FRONT_TO_BACK
-    elif rules.order is ORDERS["balanced"]:
-        order = _BALANCED
-    elif rules.order is ORDERS["simultaneous"]:
-        order = _SIMULTANEOUS
-    elif rules.order is ORDERS["top-down"]:
+    sequence = rules.order.sequence
+    if rules.order is ORDERS["top-down"]:
         sequence = tuple(reversed(range(n)))
     background, background_bounds = None, [0.0, 0.0]
     if rules.background is not None:
@@ -161,7 +160,7 @@ def rules_of(rules: StackRules) -> Any:
         math.radians(rules.hue_tolerance),
         ROUNDING_ANGLE,
         rules.gray_bias,
-        order,
+        _order_of(rules),
         list(sequence),
         n,
         background,
@@ -173,6 +172,19 @@ def rules_of(rules: StackRules) -> Any:
         numbers,
         background_bounds,
     )
+
+
+def _order_of(rules: StackRules) -> int:
+    match rules.reduction:
+        case Reduction.BOTTOM_UP:
+            return _BOTTOM_UP
+        case Reduction.FRONT_TO_BACK:
+            return _FRONT_TO_BACK
+    if rules.order is ORDERS["balanced"]:
+        return _BALANCED
+    if rules.order is ORDERS["simultaneous"]:
+        return _SIMULTANEOUS
+    return _PERMUTATION
 
 
 def _flat(*pairs: Pairs) -> list[float]:

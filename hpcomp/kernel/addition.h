@@ -2,30 +2,34 @@
 
 #pragma once
 
+#include "crowd.h"
 #include "floats.h"
 
 namespace hpcomp {
 namespace {
 
+constexpr double kPi = 3.14159265358979323846;
+
 // The angle in [0, pi] of a vector whose y is not negative; 0 for the zero vector. A polynomial fit
 // of atan(r)/r in r*r on [0, 1], good to 3e-8.
-HPCOMP_INLINE float angle_of(float y, float x) {
-    const float across = magnitude(x);
-    const float longer = larger(across, y), shorter = smaller(across, y);
-    const float r = longer > 0 ? shorter / longer : 0.0f;
-    const float q = r * r;
-    float slope = 0.0028340643f;
-    slope = slope * q - 0.0160050305f;
-    slope = slope * q + 0.0425876075f;
-    slope = slope * q - 0.0749544544f;
-    slope = slope * q + 0.106367541f;
-    slope = slope * q - 0.142025705f;
-    slope = slope * q + 0.199924836f;
-    slope = slope * q - 0.333330668f;
-    slope = slope * q + 0.999999984f;
-    float angle = slope * r;
-    angle = y > across ? 1.57079633f - angle : angle;
-    return x < 0 ? 3.14159265f - angle : angle;
+template <class Real>
+HPCOMP_INLINE Real angle_of(Real y, Real x) {
+    const Real across = magnitude(x);
+    const Real longer = larger(across, y), shorter = smaller(across, y);
+    const Real r = longer > 0 ? shorter / longer : Real(0);
+    const Real q = r * r;
+    Real slope = Real(0.0028340643f);
+    slope = slope * q - Real(0.0160050305f);
+    slope = slope * q + Real(0.0425876075f);
+    slope = slope * q - Real(0.0749544544f);
+    slope = slope * q + Real(0.106367541f);
+    slope = slope * q - Real(0.142025705f);
+    slope = slope * q + Real(0.199924836f);
+    slope = slope * q - Real(0.333330668f);
+    slope = slope * q + Real(0.999999984f);
+    Real angle = slope * r;
+    angle = y > across ? Real(kPi / 2) - angle : angle;
+    return x < 0 ? Real(kPi) - angle : angle;
 }
 
 // 1 where two hues are equal, 0 where they differ, a smoothstep between.
@@ -196,17 +200,31 @@ HPCOMP_INLINE Lanes lanes_of(const float *row) {
 
 HPCOMP_INLINE Lanes smaller(Lanes a, Lanes b) { return a < b ? a : b; }
 
-// The simultaneous rule for one run of lanes: terms p (count, 2, kBlock) from column `begin`.
-HPCOMP_INLINE void rivals_scaled_sum(const Rules &rules, const float *p, int count, int begin,
-                                     float *pairs, int *there, float *sum0, float *sum1) {
+// Which terms p (count, 2, kBlock) have chroma in one of the lanes from column `begin` on: how many, and
+// in `there` their numbers. `own` counts those of each lane.
+template <int kCount>
+HPCOMP_INLINE int find_terms(const float *p, int count, int begin, int *there, int *own) {
     int n = 0;
+    for (int l = 0; l < kCount; ++l) own[l] = 0;
     for (int k = 0; k < count; ++k) {
         ConstRow x = p + int64_t(k) * 2 * kBlock + begin, y = x + kBlock;
         int any = 0;
-        for (int l = 0; l < kLanes; ++l) any |= (x[l] != 0) | (y[l] != 0);
+        for (int l = 0; l < kCount; ++l) {
+            const int has_chroma = (x[l] != 0) | (y[l] != 0);
+            own[l] += has_chroma;
+            any |= has_chroma;
+        }
         there[n] = k;
         n += any;
     }
+    return n;
+}
+
+// The simultaneous rule for one run of lanes: `n` terms of p (count, 2, kBlock), those of the numbers
+// `there`, from column `begin` on. `pairs` holds `pair_floats`, `neighbors` an int for each
+// pair and each term.
+HPCOMP_INLINE void rivals_scaled_sum(const Rules &rules, const float *p, const int *there, int n,
+                                     int begin, float *pairs, int *neighbors, float *sum0, float *sum1) {
     for (int l = 0; l < kLanes; ++l) sum0[l] = sum1[l] = 0;
     if (n == 0) return;
 
@@ -237,7 +255,7 @@ HPCOMP_INLINE void rivals_scaled_sum(const Rules &rules, const float *p, int cou
     }
     // Most hues differ, and then their shoulder is 0 without its angle: `neighbors` lists the
     // others of each term, itself first, in which alone its support has anything.
-    int *neighbors = there + count, *degree = neighbors + int64_t(n) * n;
+    int *degree = neighbors + int64_t(n) * n;
     for (int i = 0; i < n; ++i) {
         Row ii = pair(e, i, i), held = hold + i * kLanes;
         for (int l = 0; l < kLanes; ++l) ii[l] = 1;
@@ -312,9 +330,36 @@ HPCOMP_INLINE void rivals_scaled_sum(const Rules &rules, const float *p, int cou
     }
 }
 
-// Reduces p (count, 2, kBlock) to its first term's place.
-HPCOMP_INLINE void reduce_terms(const Rules &rules, float *p, int count, int n, float *scratch,
-                                int *there) {
+// The same for whatever number of terms. Which way a pixel goes depends on its own terms alone, so
+// that those beside it change no bit of it.
+HPCOMP_INLINE void sum_at_once(const Rules &rules, const float *p, int count, int begin, float *scratch,
+                               float *sum0, float *sum1) {
+    int *there = reinterpret_cast<int *>(scratch), *neighbors = there + count;
+    scratch += number_floats(count);
+    int own[kLanes];
+    const int n = find_terms<kLanes>(p, count, begin, there, own);
+    int crowds = 0;
+    for (int l = 0; l < kLanes; ++l) crowds += own[l] > kPairedTerms;
+    const bool together = n <= kTabledTerms;
+    if (together && crowds < kLanes)
+        rivals_scaled_sum(rules, p, there, n, begin, scratch, neighbors, sum0, sum1);
+    if (together && crowds == 0) return;
+    for (int l = 0; l < kLanes; ++l) {
+        if (own[l] > kPairedTerms) {
+            find_terms<1>(p, count, begin + l, there, own + l);
+            sum_of_crowd(rules, p + begin + l, there, own[l], scratch, sum0 + l, sum1 + l);
+        } else if (!together) {
+            float all0[kLanes], all1[kLanes];
+            find_terms<1>(p, count, begin + l, there, own + l);
+            rivals_scaled_sum(rules, p, there, own[l], begin, scratch, neighbors, all0, all1);
+            sum0[l] = all0[l];
+            sum1[l] = all1[l];
+        }
+    }
+}
+
+// Reduces p (count, 2, kBlock) to its first term's place; `scratch` holds `reducing_floats`.
+HPCOMP_INLINE void reduce_terms(const Rules &rules, float *p, int count, int n, float *scratch) {
     const auto x = [&](int k) { return p + int64_t(k) * 2 * kBlock; };
     const auto y = [&](int k) { return p + int64_t(k) * 2 * kBlock + kBlock; };
     switch (rules.order) {
@@ -327,7 +372,7 @@ HPCOMP_INLINE void reduce_terms(const Rules &rules, float *p, int count, int n, 
     case Order::kSimultaneous:
         for (int begin = 0; begin < n; begin += kLanes) {
             float sum0[kLanes], sum1[kLanes];
-            rivals_scaled_sum(rules, p, count, begin, scratch, there, sum0, sum1);
+            sum_at_once(rules, p, count, begin, scratch, sum0, sum1);
             std::memcpy(x(0) + begin, sum0, sizeof sum0);
             std::memcpy(y(0) + begin, sum1, sizeof sum1);
         }

@@ -106,8 +106,6 @@ void reduce_layers(const Rules &rules, const Layer *layers, int count, int width
     float *p = scratch;                                  // (count, 2, kBlock)
     float *luminance = p + int64_t(count) * 2 * kBlock;  // (count, kBlock), then the factors:
     float *f_a = luminance + int64_t(count) * kBlock, *f_b = f_a + int64_t(count) * kBlock;
-    float *pairs = scratch + term_floats(count);
-    int *there = reinterpret_cast<int *>(pairs + pair_floats(count));
     for (int y = 0; y < height; ++y) {
         for (int x = 0; x < width; x += kBlock) {
             const int n = width - x < kBlock ? width - x : kBlock;
@@ -132,7 +130,7 @@ void reduce_layers(const Rules &rules, const Layer *layers, int count, int width
                 bound(n, layer_a, layer_b, lo, hi, at);
             }
             weigh(count, n, f_a, f_b, luminance, p, at.luminance);
-            reduce_terms(rules, p, count, n, pairs, there);
+            reduce_terms(rules, p, count, n, scratch + term_floats(count));
             std::memcpy(at.p0, p, n * sizeof(float));
             std::memcpy(at.p1, p + kBlock, n * sizeof(float));
             if (observer) observer->block(observer->self, x, y, n);

@@ -19,13 +19,28 @@ enum class Factor : int { kZero, kOne, kAlpha, kRest };
 enum class Blending : int { kHuePreserving, kTraditional, kForemost };
 enum class Order : int { kBottomUp, kFrontToBack, kPermutation, kBalanced, kSimultaneous };
 
-// Floats of scratch that a reduction of `n` layers takes: p, luminance and factors of each term; for
-// pairs also their shoulders and supports, four rows of each term, and as ints its index, its
-// neighbors and their number.
+// Terms of a pixel up to which all pairs of them are tabled; more are a crowd, see `crowd.h`. Pixels side
+// by side share a table, though their terms may be others.
+constexpr int kPairedTerms = 32, kTabledTerms = 64;
+
+// So that what follows is aligned as doubles are.
+constexpr int64_t rounded_up(int64_t floats) { return (floats + 1) / 2 * 2; }
+
+// Scratch of a reduction of `n` layers, in floats: p, luminance and factors of each term; at once also
+// the numbers of those with chroma, and the tables of pairs or what a crowd takes. The pairs have their
+// shoulders and supports, four rows of each term, and as ints its neighbors and their number.
 constexpr int64_t term_floats(int64_t n) { return n * 5 * kBlock; }
-constexpr int64_t pair_floats(int64_t n) { return (2 * n * n + 4 * n) * kLanes; }
+constexpr int64_t tabled(int64_t n) { return n < kTabledTerms ? n : kTabledTerms; }
+constexpr int64_t number_floats(int64_t n) { return rounded_up(n + (tabled(n) + 1) * tabled(n)); }
+constexpr int64_t pair_floats(int64_t n) { return (2 * tabled(n) + 4) * tabled(n) * kLanes; }
+constexpr int64_t crowd_floats(int64_t n) { return n > kPairedTerms ? n * 42 : 0; }
+constexpr int64_t reducing_floats(Order order, int64_t n) {
+    if (order != Order::kSimultaneous) return 0;
+    const int64_t pairs = pair_floats(n), crowd = crowd_floats(n);
+    return number_floats(n) + (pairs > crowd ? pairs : crowd);
+}
 constexpr int64_t scratch_floats(Order order, int64_t n) {
-    return term_floats(n) + (order == Order::kSimultaneous ? pair_floats(n) + n * n + 2 * n : 0);
+    return term_floats(n) + reducing_floats(order, n);
 }
 
 // What the maps between colours and p are.

@@ -29,8 +29,11 @@ HPCOMP_INLINE float float_of(uint32_t bits) {
 }
 
 HPCOMP_INLINE float magnitude(float x) { return float_of(bits_of(x) & 0x7fffffffu); }
+HPCOMP_INLINE double magnitude(double x) { return x < 0 ? -x : x; }
 HPCOMP_INLINE float smaller(float a, float b) { return a < b ? a : b; }
+HPCOMP_INLINE double smaller(double a, double b) { return a < b ? a : b; }
 HPCOMP_INLINE float larger(float a, float b) { return a > b ? a : b; }
+HPCOMP_INLINE double larger(double a, double b) { return a > b ? a : b; }
 // NaN stays NaN.
 HPCOMP_INLINE float at_most_one(float x) { return x > 1 ? 1.0f : x; }
 HPCOMP_INLINE float clamped(float x) { return x < 0 ? 0.0f : at_most_one(x); }

@@ -228,10 +228,9 @@ void reduce(const Block &block, float *scratch, float *p0, float *p1) {
         return;
     }
     const int count = block.layers;
-    float *p = scratch, *pairs = scratch + int64_t(count) * 2 * kBlock;
+    float *p = scratch;
     std::memcpy(p, block.p, size_t(count) * 2 * sizeof(Plane));
-    reduce_terms(block.rules, p, count, block.n, pairs,
-                 reinterpret_cast<int *>(pairs + pair_floats(count)));
+    reduce_terms(block.rules, p, count, block.n, scratch + int64_t(count) * 2 * kBlock);
     std::memcpy(p0, p, sizeof(Plane));
     std::memcpy(p1, p + kBlock, sizeof(Plane));
     if (block.actives && block.active[block.actives - 1] == count)

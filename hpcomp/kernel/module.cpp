@@ -474,6 +474,9 @@ NB_MODULE(_kernel, module) {
         return names;
     });
     // Arrays are taken as they are or refused: a converted copy would be slow, or lose a result.
+    module.def("scratch_bytes", [](int order, int layers) {
+        return int64_t(sizeof(float)) * scratch_floats(Order(order), layers);
+    }, "order"_a, "layers"_a);
     module.def("layer", &make_layer, "samples"_a.noconvert(), "decode"_a.none().noconvert(), "alpha_straight"_a,
                "matrix"_a.none(), "left"_a, "top"_a, "opacity"_a, "factor_a"_a, "factor_b"_a,
                "behind"_a, "zero_nonfinite"_a);
