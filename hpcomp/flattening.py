@@ -34,10 +34,9 @@ from .imagefile import (
     STDIN,
     DeepReader,
     OutputForm,
-    choose,
     codec_threads,
-    describe,
     format_of_output,
+    open_deep,
     open_writer,
     seekable,
 )
@@ -265,22 +264,19 @@ def deep_specs(images: Sequence[Layer]) -> list[LayerSpec]:
 @contextlib.contextmanager
 def _opened_image(spec: LayerSpec, nonfinite: str) -> Iterator[DeepReader]:
     label = spec.title
-    with seekable(spec.path, label) as path:
-        file = describe(path, label)
-        part, group = choose(file, part=spec.part, layer=spec.layer, deep=True, label=label)
-        reader = DeepReader(
-            file,
-            part,
-            group,
+    with (
+        seekable(spec.path, label) as path,
+        open_deep(
+            path,
+            part=spec.part,
+            layer=spec.layer,
+            label=label,
             alpha=spec.alpha,
             colorspace=spec.colorspace,
             nonfinite=nonfinite,
-            label=label,
-        )
-        try:
-            yield reader
-        finally:
-            reader.close()
+        ) as reader,
+    ):
+        yield reader
 
 
 def _prepare(readers: Sequence[DeepReader], rules: StackRules, notices: Notices) -> None:

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import OpenEXR
 import OpenImageIO as oiio
 
 COMPRESSIONS = {"none": 0, "rle": 1, "zips": 2, "zip": 3, "zstd": 10}
@@ -156,6 +157,13 @@ def content(*parts: Deep) -> bytes:
 def write(path: Path, *parts: Deep) -> Path:
     path.write_bytes(content(*parts))
     return path
+
+
+def repacked(path: Path, to: Path, compression: Any) -> Path:
+    """The first part in one of OpenEXR's compressions, by OpenEXR itself."""
+    file = OpenEXR.File(str(path), separate_channels=True)
+    OpenEXR.File({**file.header(), "compression": compression}, file.channels()).write(str(to))
+    return to
 
 
 def of_pixels(

@@ -1,7 +1,9 @@
 """`hpcomp flatten` as a shell and as Python meet it: against oiiotool, stack and the document."""
 
+import dataclasses
 import itertools
 import json
+import struct
 import subprocess
 import sys
 
@@ -9,6 +11,7 @@ import deepfile
 import deeporacle
 import exrfile
 import numpy as np
+import OpenEXR
 import oracle
 import pngfile
 import pytest
@@ -347,6 +350,34 @@ def test_a_layer_of_a_part(desk):
     desk.refuses(
         3, "flatten", "a.exr::part=near,layer=no", "-o", "x.exr", says=["there is (default), glow"]
     )
+
+
+@pytest.mark.parametrize("tile", [None, (8, 5)])
+def test_zstd_is_repacked_first(desk, tile):
+    p3 = struct.pack("<8f", *exrfile.PRIMARIES["p3d65"])
+    deep = noise(31, 23, 6, tidy=False, tile=tile, attributes={"chromaticities": ("chromaticities", p3)})
+    deepfile.write(desk / "a.exr", dataclasses.replace(deep, origin=(-3, 7)))
+    deepfile.repacked(desk / "a.exr", desk / "z.exr", OpenEXR.ZSTD_COMPRESSION)
+    desk.makes("flatten", "a.exr", "-o", "a-flat.exr")
+    run = desk.run("flatten", "z.exr", "-o", "z-flat.exr", "-v")
+    assert run.code == 0
+    assert "z.exr is packed as zstd, and repacked first" in run.stderr
+    assert (desk / "z-flat.exr").read_bytes() == (desk / "a-flat.exr").read_bytes()
+    desk.makes("flatten", "-", "-o", "piped.exr", stdin=(desk / "z.exr").read_bytes())
+    assert (desk / "piped.exr").read_bytes() == (desk / "a-flat.exr").read_bytes()
+    assert list(desk.temporary.iterdir()) == []
+
+
+def test_zstd_that_is_damaged_or_has_no_room_is_an_error_of_one_line(desk):
+    deepfile.write(desk / "a.exr", noise(120, 40, 6))
+    deepfile.repacked(desk / "a.exr", desk / "z.exr", OpenEXR.ZSTD_COMPRESSION)
+    content = (desk / "z.exr").read_bytes()
+    (desk / "cut.exr").write_bytes(content[: len(content) * 2 // 3])
+    desk.refuses(3, "flatten", "cut.exr", "-o", "x.exr", says=["cut.exr", "cannot be read"])
+    script = 'mount -t tmpfs -o size=64k tmpfs "$TMPDIR"; exec "$@"'
+    full = ["unshare", "--map-root-user", "--mount", "sh", "-c", script, "sh"]
+    how = {"through": full, "says": ["z.exr", "is the disk full?"]}
+    desk.refuses(3, "flatten", "z.exr", "-o", "x.exr", **how)
 
 
 def test_colours_are_converted_to_the_working_primaries(desk):

@@ -4,7 +4,7 @@ Reading gives samples as stored and what they mean; writing takes samples of the
 Where a layer lies on the canvas, and what is done with it, is not known here.
 """
 
-from .deepreading import DeepReader
+from .deepreading import DeepReader, open_deep
 from .description import describe
 from .parts import METRES_PER_INCH, ColorGroup, ImageFile, Part, choose
 from .reading import NONFINITE_POLICIES, STRIP_ROWS, LayerImage, LayerReader
@@ -29,6 +29,7 @@ __all__ = [
     "codec_threads",
     "describe",
     "format_of_output",
+    "open_deep",
     "open_writer",
     "seekable",
 ]

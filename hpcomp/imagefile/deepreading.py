@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
+import logging
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -13,14 +16,56 @@ from ..encoding import Primaries, color_space
 from ..errors import InputError, MismatchError, unknown_name
 from ..geometry import Window
 from ..samples import Decoding, decode
-from .deepchunks import DeepChunks, DeepCounts, layout_of
-from .parts import ColorGroup, ImageFile, Part, deep_alpha
+from .deepchunks import COMPRESSIONS, DeepChunks, DeepCounts, layout_of
+from .description import describe
+from .parts import ColorGroup, ImageFile, Part, choose, deep_alpha
 from .rawfile import RawFile
 from .reading import NONFINITE_POLICIES
+from .seekable import temporary
+
+log = logging.getLogger("hpcomp")
 
 FRONT = "Z"
 #: As OpenEXR spells it, and as OpenImageIO did.
 BACKS = ("ZBack", "Zback")
+
+
+@contextlib.contextmanager
+def open_deep(
+    path: str,
+    *,
+    part: str | None,
+    layer: str | None,
+    label: str,
+    alpha: str | None = None,
+    colorspace: str | None = None,
+    nonfinite: str = "error",
+) -> Iterator[DeepReader]:
+    """The reader of that part and layer, as `choose` and `DeepReader` have it.
+
+    What is packed in another way than is read here is repacked first, into a temporary file.
+    """
+    with contextlib.ExitStack() as opened:
+        file = describe(path, label)
+        chosen, group = choose(file, part=part, layer=layer, deep=True, label=label)
+        if chosen.compression not in COMPRESSIONS.values():
+            from .openimageio import repack_deep
+
+            _, copy = opened.enter_context(temporary())
+            log.info("%s is packed as %s, and repacked first", label, chosen.compression)
+            repack_deep(path, chosen, copy, "zips", label)
+            file = describe(copy, label)
+            chosen, group = choose(file, layer=layer, deep=True, label=label)
+        reader = DeepReader(
+            file,
+            chosen,
+            group,
+            alpha=alpha,
+            colorspace=colorspace,
+            nonfinite=nonfinite,
+            label=label,
+        )
+        yield opened.enter_context(contextlib.closing(reader))
 
 
 class DeepReader:

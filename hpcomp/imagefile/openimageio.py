@@ -143,6 +143,43 @@ class OpenImageIOSource:
         return np.ascontiguousarray(tiles[begin - top : end - top])
 
 
+def repack_deep(path: str, part: Part, to: str, compression: str, label: str) -> None:
+    """Writes the deep part, alone, into another EXR, some rows at a time.
+
+    Errors: `InputError`, also where there is no room for it.
+    """
+    source = open_input(path, label)
+    with contextlib.closing(source):
+        source.seek_subimage(part.index, 0)
+        spec = oiio.ImageSpec(source.spec())
+        spec.attribute("compression", compression)
+        target = oiio.ImageOutput.create("openexr")
+        assert target is not None  # the format is part of OpenImageIO itself
+        window, rows = part.data_window, part.rows_per_block
+        done = target.open(to, spec)
+        for begin in range(window.y, window.bottom, rows):
+            end = min(begin + rows, window.bottom)
+            across: tuple[int, ...] = begin, end, 0
+            read: Any
+            write: Any
+            if part.tile is None:
+                read, write = source.read_native_deep_scanlines, target.write_deep_scanlines
+            else:
+                across = window.x, window.right, begin, end, 0, 1
+                read, write = source.read_native_deep_tiles, target.write_deep_tiles
+            samples = read(part.index, 0, *across, 0, spec.nchannels)
+            if samples is None:
+                raise InputError(
+                    f"{label}: cannot be read, rows {begin} to {end - 1}: {error_text(source)}"
+                )
+            done = done and write(*across, samples)
+        if not (target.close() and done):
+            raise InputError(
+                f"{label}: cannot be unpacked into a temporary file, is the disk full? "
+                + error_text(target, "it is incomplete").replace(to, "it")
+            )
+
+
 class OpenImageIOExrWriter:
     """Writes an EXR of any compression; see `writing.ImageWriter`."""
 

@@ -27,7 +27,7 @@ def seekable(path: str, label: str) -> Iterator[str]:
         return
     if path == STDIN and sys.stdin is None:
         raise InputError(f"{label}: stdin is closed")
-    with _unnamed_copy() as copy:
+    with temporary() as (copy, copy_path):
         try:
             if path == STDIN:
                 _copy_pipe(sys.stdin.fileno(), copy)
@@ -37,16 +37,18 @@ def seekable(path: str, label: str) -> Iterator[str]:
             copy.flush()
         except OSError as reason:
             raise InputError(f"{label}: cannot be read: {why(reason)}") from None
-        yield copy.name if isinstance(copy.name, str) else f"/dev/fd/{copy.name}"
+        yield copy_path
 
 
-def _unnamed_copy() -> IO[bytes]:
-    """A temporary file that goes with the process, however that ends, where the system has such."""
+@contextlib.contextmanager
+def temporary() -> Iterator[tuple[IO[bytes], str]]:
+    """A temporary file and its path; it goes with the process, however that ends, where it can."""
     import tempfile  # with all that it imports, which plain files have no use for
 
-    if sys.platform == "linux":
-        return tempfile.TemporaryFile(prefix="hpcomp.")
-    return tempfile.NamedTemporaryFile(prefix="hpcomp.")
+    unnamed = sys.platform == "linux"
+    make = tempfile.TemporaryFile if unnamed else tempfile.NamedTemporaryFile
+    with make(prefix="hpcomp.") as file:
+        yield file, f"/dev/fd/{file.fileno()}" if unnamed else str(file.name)
 
 
 #: Seconds after which a signal is noticed that arrived just before a read began to wait.
