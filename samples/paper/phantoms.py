@@ -1,8 +1,10 @@
 """Made-up scans: scalar fields that stand for the paper's tomato, tooth, chest, frog, fish and pig.
 
 A phantom takes object coordinates x (right), y (down), z (away), arrays of one shape with the body
-within some 0.95 of the origin, and gives the data value 0-1 of each point: 0 is air, and every
-material has a value of its own. Edges are blurred as by a scanner. What colour and how opaque a
+within some 0.95 of the origin, and gives the data value of each point: 0 is air, and every material
+has a value of its own, of -1 to 1. Edges are blurred as by a scanner, and pass through all values
+between two materials. Where a third one would be among them, a material has a negative value: else
+the roots of the tooth would wear enamel, and coins a coat of china. What colour and how opaque a
 value is, and from where it is looked at, stands in slices.py.
 """
 
@@ -16,6 +18,7 @@ Field = np.ndarray
 Point = tuple[float, float, float]
 
 BLUR = 0.022  # width of the edge between two materials
+PEEL = 0.012  # that of the tomato; a thick peel would be all that is seen along its rim
 
 
 # ---- distances: negative inside ------------------------------------------------------------------
@@ -72,7 +75,8 @@ def repeated(value: Field, period: float) -> Field:
 
 
 def tomato(x: Field, y: Field, z: Field) -> Field:
-    """Peel 0.30, flesh 0.55, a jelly of 0.43 in six chambers, and in it seeds of 0.85."""
+    """Flesh 0.55, a jelly of 0.34 in six chambers, and in it seeds of 0.85; the peel is the edge of
+    the flesh, with the values below 0.34."""
     out = np.hypot(x, z)
     around = np.arctan2(z, x)
     ribbed = 1 + 0.03 * np.cos(6 * around) * out**2 / (out**2 + 0.05)
@@ -82,9 +86,8 @@ def tomato(x: Field, y: Field, z: Field) -> Field:
     middle, side = out * np.cos(sector), out * np.sin(sector)
     wall = out * np.sin(np.pi / 6 - sector)
     chamber = both(body + 0.19, 0.17 - out, 0.045 - wall)
-    values = put(np.zeros_like(x), body, 0.30)
-    values = put(values, body + 0.035, 0.55)
-    values = put(values, chamber, 0.43)
+    values = put(np.zeros_like(x), body, 0.55, PEEL)
+    values = put(values, chamber, 0.34)
     for far, height, beside in (
         (0.30, -0.22, 0.05), (0.45, -0.12, 0.09), (0.29, 0.00, 0.05), (0.47, 0.10, 0.10),
         (0.32, 0.20, 0.06), (0.40, 0.32, 0.04),
@@ -95,7 +98,7 @@ def tomato(x: Field, y: Field, z: Field) -> Field:
 
 
 def tooth(x: Field, y: Field, z: Field) -> Field:
-    """Enamel 0.30 on the crown, dentine 0.55 below it and in the roots, pulp 0.85."""
+    """Enamel -0.35 on the crown, dentine 0.45 below it and in the roots, pulp 0.85."""
     cusps = 0.07 * np.cos(8.2 * x) * np.cos(8.2 * z) * step(-0.45, -0.75, y)
     corner = [np.maximum(np.abs(v) - r, 0) for v, r in ((x, 0.30), (y + 0.38, 0.16), (z, 0.26))]
     crown = np.sqrt(sum(c * c for c in corner)) - 0.24 + cusps
@@ -115,20 +118,21 @@ def tooth(x: Field, y: Field, z: Field) -> Field:
         for side in (-1, 1)
     ]
     pulp = joined([chamber, *horns, *canals], 0.10)
-    values = put(np.zeros_like(x), body, 0.30)
-    values = put(values, body + cap, 0.55, BLUR / 2)  # or the roots would wear enamel
+    values = put(np.zeros_like(x), body, np.where(cap > 0, -0.35, 0.45))
+    values = put(values, body + cap, 0.45)
     return put(values, pulp, 0.85)
 
 
 def fish(x: Field, y: Field, z: Field) -> Field:
     """Flesh 0.35, bones 0.80: skull, backbone, ribs and the rays of the fins."""
+    x, y, z = 0.87 * x - 0.08, 0.87 * y - 0.04, 0.87 * z  # as large as fits into the picture
     s = np.clip((x + 0.88) / 1.45, 0.001, 1)
     tall = 0.045 + 0.86 * np.sqrt(s) * (1 - s) ** 1.1
-    wide = 0.5 * tall
+    wide = 0.38 * tall
     flank = (np.sqrt((y / tall) ** 2 + (z / wide) ** 2) - 1) * wide
     body = both(flank, -0.88 - x, x - 0.57)
-    fork = 0.05 + 0.85 * np.maximum(x - 0.48, 0)
-    notch = 0.70 + 0.55 * np.abs(y) + 0.25 * y * y
+    fork = 0.05 + 0.80 * np.maximum(x - 0.48, 0)
+    notch = 0.68 + 0.35 * np.abs(y) + 0.25 * y * y
     tail = both(np.abs(y) - fork, 0.48 - x, x - notch, np.abs(z) - 0.022)
     along = (x + 0.24) / 0.38
     back = both(-y - 0.16 - 0.34 * np.sqrt(np.clip(1 - along * along, 0, 1)) * (1 - 0.25 * along),
@@ -141,11 +145,11 @@ def fish(x: Field, y: Field, z: Field) -> Field:
     vertebrae = 0.030 + 0.010 * np.cos(2 * np.pi * x / 0.062)
     spine = both(np.hypot(y - spine_y, z) - vertebrae, -0.52 - x, x - 0.60)
     slant = repeated(x - 0.30 * np.abs(y), 0.062)
-    shell = np.abs(np.sqrt((y / tall) ** 2 + (z / wide) ** 2) - 0.74) * wide - 0.014
+    shell = np.abs(np.sqrt((y / tall) ** 2 + (z / wide) ** 2) - 0.72) * wide - 0.014
     ribs = both(shell, slant - 0.011, -0.45 - x, x - 0.02, -0.02 - y)
     thorns = both(np.abs(z) - 0.014, slant - 0.010, np.abs(y) - 0.80 * tall, -0.45 - x, x - 0.50)
     thorns = both(thorns, np.where(x < 0.02, y, -1))  # below the ribs there are none
-    head = ellipsoid(x, y, z, (-0.64, -0.02, 0), (0.20, 0.17, 0.10))
+    head = ellipsoid(x, y, z, (-0.64, -0.02, 0), (0.20, 0.17, 0.08))
     skull = np.abs(head + 0.012) - 0.016
     eye = np.hypot(x + 0.72, y + 0.07) - 0.045
     skull = both(skull, -eye)
@@ -159,7 +163,7 @@ def fish(x: Field, y: Field, z: Field) -> Field:
 
 
 def piggy_bank(x: Field, y: Field, z: Field) -> Field:
-    """A hollow pig of 0.35, its nose to the left, with coins of 0.80."""
+    """A hollow pig of 0.35, its nose to the left, with coins of -0.50."""
     legs = [
         capsule(x, y, z, (px, 0.30, pz), (px, 0.66, 1.1 * pz), 0.13, 0.11)
         for px in (-0.34, 0.34) for pz in (-0.24, 0.24)
@@ -178,19 +182,19 @@ def piggy_bank(x: Field, y: Field, z: Field) -> Field:
         a, b, c = (v - v0 for v, v0 in zip((x, y, z), place, strict=True))
         a, c = a * np.cos(turn) + c * np.sin(turn), c * np.cos(turn) - a * np.sin(turn)
         b, a = b * np.cos(tilt) + a * np.sin(tilt), a * np.cos(tilt) - b * np.sin(tilt)
-        coins = np.minimum(coins, both(np.hypot(a, c) - 0.135, np.abs(b) - 0.020))
+        coins = np.minimum(coins, both(np.hypot(a, c) - 0.155, np.abs(b) - 0.020))
     values = put(np.zeros_like(x), china, 0.35)
-    return put(values, coins, 0.80)
+    return put(values, coins, -0.50)
 
 
 # Where a coin is, how it is tilted and which way, in radians.
 COINS = (
-    ((-0.25, 0.34, 0.05), 0.10, 0.3), ((0.02, 0.40, -0.08), 0.05, 1.0),
-    ((0.30, 0.35, 0.06), -0.15, 0.2), ((-0.12, 0.28, -0.14), 0.25, 0.9),
-    ((0.16, 0.30, 0.10), -0.20, 2.0), ((0.40, 0.24, -0.08), -0.45, 0.4),
-    ((-0.36, 0.22, -0.05), 0.55, 0.2), ((0.04, 0.20, -0.02), 0.30, 0.1),
-    ((0.24, 0.16, -0.12), 1.25, 0.5), ((-0.16, 0.12, 0.08), 1.10, -0.6),
-    ((0.06, 0.02, -0.05), 1.45, 0.15),
+    ((-0.25, 0.24, 0.05), 0.10, 0.3), ((0.02, 0.30, -0.08), 0.05, 1.0),
+    ((0.30, 0.25, 0.06), -0.15, 0.2), ((-0.12, 0.18, -0.14), 0.25, 0.9),
+    ((0.16, 0.20, 0.10), -0.20, 2.0), ((0.40, 0.14, -0.08), -0.45, 0.4),
+    ((-0.36, 0.12, -0.05), 0.55, 0.2), ((0.04, 0.10, -0.02), 0.30, 0.1),
+    ((0.24, 0.06, -0.12), 1.25, 0.5), ((-0.16, 0.02, 0.08), 1.10, -0.6),
+    ((0.06, -0.08, -0.05), 1.45, 0.15),
 )  # fmt: skip
 
 

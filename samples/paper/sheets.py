@@ -21,7 +21,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.patches import Rectangle
-from slices import VOLUMES, fields
+from slices import RAMP, VOLUMES, fields
 
 DPI = 100  # only the product with the size in inches matters
 UNSIGNED = {"Software": None}  # matplotlib's version would make other bytes of the same picture
@@ -39,10 +39,9 @@ def draw_transfer_function(axes: Axes, name: str) -> None:
     strongest = max(m.extinction for m in volume.materials)
     for material in volume.materials:
         opacity = (material.extinction / strongest) ** (1 / 3)
-        axes.add_patch(Rectangle((material.low, 0), material.high - material.low, opacity,
-                                 fc=material.color, alpha=0.45, ec="none"))  # fmt: skip
-        axes.plot([material.low, material.low, material.high, material.high],
-                  [0, opacity, opacity, 0], color=material.color, lw=2)  # fmt: skip
+        ends = [material.low, material.low + RAMP, material.high - RAMP, material.high]
+        axes.fill(ends, [0, opacity, opacity, 0], color=material.color, alpha=0.45, lw=0)
+        axes.plot(ends, [0, opacity, opacity, 0], color=material.color, lw=2)
         axes.text((material.low + material.high) / 2, opacity + 0.02, material.name, size=9,
                   ha="center")  # fmt: skip
     axes.set(xlim=(0, 1), ylim=(0, 1.12), yticks=[], xticks=np.linspace(0, 1, 6))

@@ -24,7 +24,10 @@ from phantoms import PHANTOMS
 
 @dataclass(frozen=True)
 class Material:
-    """A label: its sRGB colour, the data values that it stands for, its extinction per unit."""
+    """A label: its sRGB colour, the data values that it stands for, its extinction per unit.
+
+    The extinction rises from 0 at `low` and falls to 0 at `high`, each over RAMP.
+    """
 
     name: str
     color: str
@@ -50,22 +53,22 @@ class Volume:
 
 # fmt: off
 TOMATO = (
-    Material("peel",    "#e6001e", 0.15, 0.42, 3.6),
-    Material("flesh",   "#ff8000", 0.47, 0.68, 2.0),
+    Material("peel",    "#e60024", 0.10, 0.34, 76.0),
+    Material("flesh",   "#ff9a00", 0.34, 0.70, 1.3),
     Material("seeds",   "#ffe600", 0.70, 1.00, 60.0),
 )
 TOOTH = (
-    Material("enamel",  "#ffd800", 0.15, 0.42, 1.5),
-    Material("dentine", "#f00028", 0.45, 0.68, 2.0),
-    Material("pulp",    "#0038ff", 0.70, 1.00, 30.0),
+    Material("enamel",  "#ffd800", -0.50, -0.15, 1.5),
+    Material("dentine", "#f00028", 0.20, 0.65, 2.0),
+    Material("pulp",    "#0038ff", 0.65, 1.00, 30.0),
 )
 FISH = (
-    Material("flesh",   "#ff0022", 0.15, 0.60, 1.5),
-    Material("bones",   "#ffa000", 0.62, 1.00, 30.0),
+    Material("flesh",   "#f01446", 0.10, 0.55, 3.6),
+    Material("bones",   "#f08c00", 0.62, 1.00, 60.0),
 )
 PIGGY_BANK = (
-    Material("pig",     "#a01eff", 0.15, 0.50, 2.4),
-    Material("coins",   "#1450ff", 0.60, 1.00, 60.0),
+    Material("pig",     "#be00dc", 0.10, 0.50, 4.6),
+    Material("coins",   "#1446ff", -0.70, -0.25, 60.0),
 )
 CHEST = (
     Material("flesh",   "#0000ff", 0.15, 0.60, 2.3),
@@ -102,6 +105,8 @@ VOLUMES = {
 LIGHT = np.array([-0.45, -0.60, -0.66])  # from the upper left, in front
 TO_VIEWER = np.array([0, 0, -1])
 AMBIENT, DIFFUSE, SHINE, SHININESS = 0.35, 0.65, 0.30, 28
+RAMP = 0.12  # data values over which a label fades in or out
+SUBSAMPLES = 0.125, 0.375  # of the way from a sample to the one before it, and to the one after
 FLAT = 3.0  # gradients below this, in data values per unit, do not say where a surface faces
 TRANSPARENT = 1 / 2048  # opacities below this are left out: files stay small
 
@@ -138,6 +143,7 @@ def fields(volume: Volume, size: int, slices: int) -> Iterator[np.ndarray]:
 def shading(before: np.ndarray, here: np.ndarray, after: np.ndarray, steps: tuple[float, float]):
     """How bright a surface is, and how much of a white highlight lies on it, each 0-1."""
     pixel, between = steps
+    before, here, after = np.abs(before), np.abs(here), np.abs(after)  # 0 is air
     down, right = np.gradient(here, pixel)
     gradient = np.stack([right, down, (after - before) / (2 * between)])
     size = np.sqrt((gradient**2).sum(axis=0))
@@ -153,18 +159,32 @@ def shading(before: np.ndarray, here: np.ndarray, after: np.ndarray, steps: tupl
     return bright, shine
 
 
+def extinction(material: Material, value: np.ndarray) -> np.ndarray:
+    inside = np.minimum(value - material.low, material.high - value)
+    return np.float32(material.extinction) * np.clip(inside / np.float32(RAMP), 0, 1)
+
+
+def mean_extinction(
+    material: Material, before: np.ndarray, here: np.ndarray, after: np.ndarray
+) -> np.ndarray:
+    """Along the slice: a thin layer between two samples would be missed, or seen as contours."""
+    return sum(
+        extinction(material, here + np.float32(part) * (there - here))
+        for there in (before, after)
+        for part in SUBSAMPLES
+    ) / np.float32(2 * len(SUBSAMPLES))
+
+
 def slices_of(volume: Volume, size: int, slices: int) -> Iterator[np.ndarray]:
     """Premultiplied linear RGBA (size, size, 4) float32, the front one first."""
     steps = 2 / size, 2 * volume.depth / slices
-    colors = np.array([linear_rgb(m.color) for m in volume.materials] + [[0, 0, 0]], np.float32)
-    extinctions = np.array([m.extinction for m in volume.materials] + [0], np.float32)
+    colors = np.array([linear_rgb(m.color) for m in volume.materials], np.float32)
     before = here = None
     for after in fields(volume, size, slices):
         if before is not None:
-            label = np.full(here.shape, len(volume.materials))
-            for number, material in enumerate(volume.materials):
-                label[(here >= material.low) & (here < material.high)] = number
-            alpha = 1 - np.exp(-extinctions[label] * np.float32(steps[1]))
+            found = [mean_extinction(m, before, here, after) for m in volume.materials]
+            label = np.argmax(found, axis=0)  # one label, or the slice would have mixed hues
+            alpha = 1 - np.exp(-np.maximum.reduce(found) * np.float32(steps[1]))
             alpha[alpha < TRANSPARENT] = 0
             bright, shine = shading(before, here, after, steps)
             color = ((1 - shine) * bright)[..., None] * colors[label] + shine[..., None]
