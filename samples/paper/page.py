@@ -1,7 +1,9 @@
 """Puts the numbers of a build into the page: tables of README.md, made from hpcomp's reports.
 
     python page.py DIRECTORY README.md           rewrites what stands between the markers
-    python page.py --check DIRECTORY README.md   exit code 1 if that would change the page
+    python page.py --check DIRECTORY README.md   exit code 1 if the page has other numbers
+
+Another processor may round otherwise: numbers that differ in their last digit are not others.
 """
 
 from __future__ import annotations
@@ -29,7 +31,14 @@ class Row:
 @dataclass(frozen=True)
 class Table:
     rows: tuple[Row, ...]
-    columns: tuple[str, ...] = ("foreign hue", "peaks")
+    columns: tuple[str, ...] = ("foreign hue", "peaks", "lost to grey")
+
+
+# How far a number may be from that of the page, which is rounded as well.
+POINTS = 0.3  # of a percentage
+HUE_DEG = 1.0
+ENERGY = 0.002  # of it
+SMALL_PEAK = 1.3  # percent: at 1 a peak is listed, or just not
 
 
 def percent(share: float) -> str:
@@ -41,12 +50,64 @@ def peaks(report: Report, side: str) -> str:
     return ", ".join(found) or "none"
 
 
-COLUMNS: dict[str, Callable[[Report, str], str]] = {
-    "foreign hue": lambda report, side: percent(report["measures"][side]["foreign_share"]),
-    "peaks": peaks,
-    "lost to grey": lambda report, side: percent(report["measures"][side]["lost_to_grey"]),
-    "energy": lambda report, side: f"{report['measures'][side]['energy']:,.0f}",
+def numbers(cell: str) -> list[float]:
+    return [float(word.replace(",", "")) for word in re.findall(r"[\d.,]*\d", cell)]
+
+
+def same_share(here: str, there: str) -> bool:
+    return abs(numbers(here)[0] - numbers(there)[0]) <= POINTS + 1e-9
+
+
+def same_energy(here: str, there: str) -> bool:
+    one, other = numbers(here)[0], numbers(there)[0]
+    return abs(one - other) <= ENERGY * max(one, other)
+
+
+def same_peaks(here: str, there: str) -> bool:
+    """Each peak of one has its like in the other, or is small."""
+
+    def listed(cell: str) -> list[tuple[float, float]]:
+        found = numbers(cell)
+        return list(zip(found[::2], found[1::2], strict=True))
+
+    def has_like(peak: tuple[float, float], others: list[tuple[float, float]]) -> bool:
+        return peak[1] <= SMALL_PEAK or any(
+            abs((peak[0] - hue + 180) % 360 - 180) <= HUE_DEG
+            and abs(peak[1] - share) <= POINTS + 1e-9
+            for hue, share in others
+        )
+
+    one, other = listed(here), listed(there)
+    return all(has_like(p, other) for p in one) and all(has_like(p, one) for p in other)
+
+
+@dataclass(frozen=True)
+class Column:
+    """What its cells say of a report, and whether two cells say the same."""
+
+    cell: Callable[[Report, str], str]
+    same: Callable[[str, str], bool]
+
+
+COLUMNS = {
+    "foreign hue": Column(
+        lambda report, side: percent(report["measures"][side]["foreign_share"]), same_share
+    ),
+    "peaks": Column(peaks, same_peaks),
+    "lost to grey": Column(
+        lambda report, side: percent(report["measures"][side]["lost_to_grey"]), same_share
+    ),
+    "energy": Column(
+        lambda report, side: f"{report['measures'][side]['energy']:,.0f}", same_energy
+    ),
 }
+
+
+def words_of(variable: str) -> list[str]:
+    """Of the Makefile."""
+    text = Path(__file__).with_name("Makefile").read_text(encoding="utf-8")
+    (words,) = re.findall(rf"^{variable} := (.*)$", text, re.MULTILINE)
+    return words.split()
 
 
 def two(report: str, before: str = "") -> tuple[Row, Row]:
@@ -64,28 +125,29 @@ PAIRS = {
     "d": "red, cyan",
     "e": "one hue",
 }
-#: Of the frog's brain, as in the Makefile.
-OPACITIES = ("0.04", "0.1", "0.2", "0.4", "1")
-#: Orders of three lights, and which of them remains in the middle.
-LAST = {"0-1-2": "blue", "1-0-2": "blue", "0-2-1": "magenta", "2-0-1": "magenta", "1-2-0": "red",
-        "2-1-0": "red"}  # fmt: skip
+OPACITIES = words_of("OPACITIES")  # of the frog's brain
+ORDERS = words_of("ORDERS")  # of three lights
+
+HUES = ("foreign hue", "peaks")
 
 #: By the names of the page's blocks.
 TABLES = {
     "profiles": Table(
-        tuple(row for p, names in PAIRS.items() for row in two(f"profiles-{p}", f"({p}) {names}, "))
+        tuple(r for p, names in PAIRS.items() for r in two(f"profiles-{p}", f"({p}) {names}, ")),
+        HUES,
     ),
-    "lights": Table(two("lights")),
-    "labels": Table(tuple(r for n in (2, 3, 4) for r in two(f"mixtures-{n}", f"{n} labels, "))),
+    "lights": Table(two("lights"), HUES),
+    "labels": Table(
+        tuple(r for n in (2, 3, 4) for r in two(f"mixtures-{n}", f"{n} labels, ")), HUES
+    ),
     **{name: Table(two(name)) for name in ("tomato", "tooth", "fish", "piggy-bank")},
     "chest": Table((*two("chest-opposite", "(a) "), *two("chest-cyan", "(b) "))),
     "frog": Table(
         tuple(r for o in OPACITIES for r in two(f"brain-{o}", f"{o}, ")),
-        ("foreign hue", "peaks", "lost to grey"),
     ),
     "energy": Table(
         (*two("tooth", "Figure 7, "), *two("tooth-energy", "energy-aware, ")),
-        ("foreign hue", "peaks", "energy"),
+        ("foreign hue", "peaks", "lost to grey", "energy"),
     ),
     "grey": Table(
         tuple(
@@ -103,10 +165,9 @@ TABLES = {
     "orders": Table(
         (
             Row("traditional", "orders", "traditional"),
-            *(Row(f"`--order {o.replace('-', ',')}`", f"orders-{o}") for o in LAST),
+            *(Row(f"`--order {o.replace('-', ',')}`", f"orders-{o}") for o in ORDERS),
             Row("`--order simultaneous`", "orders-simultaneous"),
         ),
-        ("foreign hue", "peaks", "lost to grey"),
     ),
     "oklab": Table((*two("tooth", "linear RGB, "), *two("tooth-oklab", "Oklab, "))),
     "foremost": Table(
@@ -116,7 +177,6 @@ TABLES = {
             Row("hue-preserving, behind the veil", "veil"),
             Row("foremost, the tooth of Figure 7", "tooth-foremost"),
         ),
-        ("foreign hue", "peaks", "lost to grey"),
     ),
 }
 
@@ -125,7 +185,7 @@ def table_text(table: Table, directory: Path) -> str:
     lines = ["| | " + " | ".join(table.columns) + " |", "|---" * (len(table.columns) + 1) + "|"]
     for row in table.rows:
         report = json.loads((directory / f"{row.report}.json").read_text())
-        cells = [COLUMNS[column](report, row.side) for column in table.columns]
+        cells = [COLUMNS[column].cell(report, row.side) for column in table.columns]
         lines.append("| " + " | ".join([row.label, *cells]) + " |")
     return "\n".join(lines)
 
@@ -141,17 +201,46 @@ def with_tables(page: str, directory: Path) -> str:
     return page
 
 
+def tables(page: str) -> dict[str, list[list[str]]]:
+    """The rows of cells of the page's blocks, by name; the first row has the titles."""
+    found = {}
+    blocks = re.findall(r"<!-- begin generated: ([\w-]+) -->(.*?)<!-- end", page, re.DOTALL)
+    for name, block in blocks:
+        lines = [line for line in block.splitlines() if line.startswith("| ")]
+        found[name] = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
+    return found
+
+
+def differences(page: str, directory: Path) -> list[str]:
+    """What the page says otherwise than that build, a line for each cell."""
+    shown, built = tables(page), tables(with_tables(page, directory))
+    found = []
+    for name, rows in built.items():
+        titles, old = rows[0], shown[name]
+        if [titles, *(row[0] for row in rows)] != [old[0], *(row[0] for row in old)]:
+            found.append(f"{name}: the table has other rows or columns")
+            continue
+        found += [
+            f"{name}, {row[0]}: {title} is {there} there, {here} on the page"
+            for row, page_row in zip(rows[1:], old[1:], strict=True)
+            for title, there, here in zip(titles[1:], row[1:], page_row[1:], strict=True)
+            if not COLUMNS[title].same(here, there)
+        ]
+    return found
+
+
 def main(words: list[str]) -> int:
     check = words[:1] == ["--check"]
     directory, path = (Path(word) for word in words[check:])
     old = path.read_text(encoding="utf-8")
-    new = with_tables(old, directory)
-    if check:
-        if new != old:
-            print(f"{path} has not the numbers of {directory}: run make page", file=sys.stderr)
-        return int(new != old)
-    path.write_text(new, encoding="utf-8")
-    return 0
+    if not check:
+        path.write_text(with_tables(old, directory), encoding="utf-8")
+        return 0
+    found = differences(old, directory)
+    if found:
+        print(f"{path} has not the numbers of {directory}: run make page", *found,
+              sep="\n", file=sys.stderr)  # fmt: skip
+    return int(bool(found))
 
 
 if __name__ == "__main__":

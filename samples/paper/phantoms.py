@@ -179,10 +179,13 @@ def piggy_bank(x: Field, y: Field, z: Field) -> Field:
     china = both(np.abs(pig + 0.022) - 0.026, -slot)
     coins = np.full_like(x, 1.0)
     for place, tilt, turn in COINS:
-        a, b, c = (v - v0 for v, v0 in zip((x, y, z), place, strict=True))
+        away = [v - v0 for v, v0 in zip((x, y, z), place, strict=True)]
+        near = sum(a * a for a in away) < 0.18**2
+        a, b, c = (v[near] for v in away)
         a, c = a * np.cos(turn) + c * np.sin(turn), c * np.cos(turn) - a * np.sin(turn)
         b, a = b * np.cos(tilt) + a * np.sin(tilt), a * np.cos(tilt) - b * np.sin(tilt)
-        coins = np.minimum(coins, both(np.hypot(a, c) - 0.155, np.abs(b) - 0.020))
+        coin = both(np.hypot(a, c) - 0.155, np.abs(b) - 0.020)
+        coins[near] = np.minimum(coins[near], coin)
     values = put(np.zeros_like(x), china, 0.35)
     return put(values, coins, -0.50)
 

@@ -6,7 +6,7 @@ writes SLICES files of SIZE x SIZE pixels, 000.exr in front. A 1D transfer funct
 data value a colour, which is that of one label, and an opacity; the gradient shades it. Light only
 scales a colour or adds white, so that a slice has no hues but those of the labels. Nothing is
 composited here: hpcomp does that, from the back slice to the front one. Running twice gives the
-same bytes.
+same bytes, and slices that an earlier run wrote beyond the last one are removed.
 """
 
 from __future__ import annotations
@@ -159,20 +159,20 @@ def shading(before: np.ndarray, here: np.ndarray, after: np.ndarray, steps: tupl
     return bright, shine
 
 
-def extinction(material: Material, value: np.ndarray) -> np.ndarray:
-    inside = np.minimum(value - material.low, material.high - value)
-    return np.float32(material.extinction) * np.clip(inside / np.float32(RAMP), 0, 1)
+def extinction(material: Material, values: list[np.ndarray]) -> np.ndarray:
+    """The mean of its extinction per unit at these data values."""
+    inside = sum(
+        np.clip(np.minimum(v - material.low, material.high - v), 0, np.float32(RAMP))
+        for v in values
+    )
+    return inside * np.float32(material.extinction / RAMP / len(values))
 
 
-def mean_extinction(
-    material: Material, before: np.ndarray, here: np.ndarray, after: np.ndarray
-) -> np.ndarray:
-    """Along the slice: a thin layer between two samples would be missed, or seen as contours."""
-    return sum(
-        extinction(material, here + np.float32(part) * (there - here))
-        for there in (before, after)
-        for part in SUBSAMPLES
-    ) / np.float32(2 * len(SUBSAMPLES))
+def box_of(seen: np.ndarray) -> tuple[slice, slice]:
+    """The rows and the columns where it is true, and one more on each side."""
+    found = (np.flatnonzero(seen.any(axis=axis)) for axis in (1, 0))
+    rows, columns = (slice(max(i[0] - 1, 0), i[-1] + 2) if i.size else slice(0) for i in found)
+    return rows, columns
 
 
 def slices_of(volume: Volume, size: int, slices: int) -> Iterator[np.ndarray]:
@@ -182,14 +182,34 @@ def slices_of(volume: Volume, size: int, slices: int) -> Iterator[np.ndarray]:
     before = here = None
     for after in fields(volume, size, slices):
         if before is not None:
-            found = [mean_extinction(m, before, here, after) for m in volume.materials]
-            label = np.argmax(found, axis=0)  # one label, or the slice would have mixed hues
-            alpha = 1 - np.exp(-np.maximum.reduce(found) * np.float32(steps[1]))
-            alpha[alpha < TRANSPARENT] = 0
-            bright, shine = shading(before, here, after, steps)
-            color = ((1 - shine) * bright)[..., None] * colors[label] + shine[..., None]
-            yield np.concatenate([color * alpha[..., None], alpha[..., None]], axis=-1)
+            rgba = np.zeros((size, size, 4), np.float32)
+            box = box_of((before != 0) | (here != 0) | (after != 0))
+            if rgba[box].size:
+                rgba[box] = one_slice(volume.materials, colors, before[box], here[box], after[box],
+                                      steps)  # fmt: skip
+            yield rgba
         before, here = here, after
+
+
+def one_slice(
+    materials: tuple[Material, ...],
+    colors: np.ndarray,
+    before: np.ndarray,
+    here: np.ndarray,
+    after: np.ndarray,
+    steps: tuple[float, float],
+) -> np.ndarray:
+    """What `here` looks like; its opacity is the mean along the slice, or a thin layer between
+    two samples would be missed and seen as contours."""
+    values = [here + np.float32(part) * (there - here)
+              for there in (before, after) for part in SUBSAMPLES]  # fmt: skip
+    found = [extinction(material, values) for material in materials]
+    label = np.argmax(found, axis=0)  # one label, or the slice would have mixed hues
+    alpha = 1 - np.exp(-np.maximum.reduce(found) * np.float32(steps[1]))
+    alpha[alpha < TRANSPARENT] = 0
+    bright, shine = shading(before, here, after, steps)
+    color = ((1 - shine) * bright)[..., None] * colors[label] + shine[..., None]
+    return np.concatenate([color * alpha[..., None], alpha[..., None]], axis=-1)
 
 
 def save_exr(path: Path, rgba: np.ndarray) -> None:
@@ -219,6 +239,10 @@ def write_slices(name: str, size: int, slices: int, directory: Path) -> None:
     directory.mkdir(parents=True, exist_ok=True)
     for number, rgba in enumerate(slices_of(VOLUMES[name], size, slices)):
         save_exr(directory / f"{number:03}.exr", rgba)
+    # Those of an earlier run with more slices do not belong to this one.
+    for path in directory.glob("*.exr"):
+        if path.stem.isdecimal() and int(path.stem) >= slices:
+            path.unlink()
 
 
 if __name__ == "__main__":
