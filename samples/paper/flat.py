@@ -23,7 +23,7 @@ LUMINANCE = np.array([0.2126390058715103, 0.7151686787677559, 0.0721923153607337
 
 # Pairs of colours: what is above and what is below, linear RGB. The opposite of a primary is white
 # without it; a colour has the hue of another if it is a part of it and grey.
-ORANGE = linear_rgb("#ff8c00")
+ORANGE = linear_rgb("#ff8400")
 PAIRS = {
     "a": (linear_rgb("#00a0a0"), ORANGE),
     "b": (linear_rgb("#ff0022"), linear_rgb("#00c800")),

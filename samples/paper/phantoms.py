@@ -18,7 +18,7 @@ Field = np.ndarray
 Point = tuple[float, float, float]
 
 BLUR = 0.022  # width of the edge between two materials
-PEEL = 0.012  # that of the tomato; a thick peel would be all that is seen along its rim
+PEEL = 0.016  # that of the tomato; a thick peel would be all that is seen along its rim
 
 
 # ---- distances: negative inside ------------------------------------------------------------------
@@ -187,7 +187,7 @@ def piggy_bank(x: Field, y: Field, z: Field) -> Field:
         coin = both(np.hypot(a, c) - 0.155, np.abs(b) - 0.020)
         coins[near] = np.minimum(coins[near], coin)
     values = put(np.zeros_like(x), china, 0.35)
-    return put(values, coins, -0.50)
+    return put(values, coins, -0.50, BLUR / 2)
 
 
 # Where a coin is, how it is tilted and which way, in radians.

@@ -53,7 +53,7 @@ class Volume:
 
 # fmt: off
 TOMATO = (
-    Material("peel",    "#e60024", 0.10, 0.34, 76.0),
+    Material("peel",    "#e60024", 0.10, 0.34, 64.0),
     Material("flesh",   "#ff9a00", 0.34, 0.70, 1.3),
     Material("seeds",   "#ffe600", 0.70, 1.00, 60.0),
 )
@@ -67,7 +67,7 @@ FISH = (
     Material("bones",   "#f08c00", 0.62, 1.00, 60.0),
 )
 PIGGY_BANK = (
-    Material("pig",     "#be00dc", 0.10, 0.50, 4.6),
+    Material("pig",     "#be00dc", 0.10, 0.50, 4.9),
     Material("coins",   "#1446ff", -0.70, -0.25, 60.0),
 )
 CHEST = (
