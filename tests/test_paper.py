@@ -520,7 +520,7 @@ def test_in_oklab_pulp_is_paler_and_the_crown_greyer(picture):
     assert oklab[crown].mean() < 0.8 * linear[crown].mean()
 
 
-def test_foremost_is_not_stable(report, pixels):
+def test_foremost_is_not_stable(built, report, pixels, tmp_path):
     green = hsl_hue(slices.linear_rgb("#00c850"))
     without, behind, kept = (report(name) for name in ("foremost", "foremost-veil", "veil"))
     assert between(without, "result", green - 5, green + 5) == 0
@@ -532,9 +532,11 @@ def test_foremost_is_not_stable(report, pixels):
     assert np.ptp(before[right][..., :3], axis=-1).max() > 0.5
     assert np.ptp(after[right][..., :3], axis=-1).max() < 0.02
     assert (after[right][..., 1] >= after[right][..., :3].max(axis=-1) - HALF_STEP).all()
-    with_veil = pixels("veil")[right]
-    assert np.median(saturation(with_veil[with_veil[..., 3] > 0.5])) > 0.4
-    assert np.median(saturation(after[right][after[right][..., 3] > 0.5])) < 0.05
+    # With the hue preserved the veil can hardly be seen.
+    layers = [built / "layers" / "discs" / f"{name}.exr" for name in ("yellow", "red", "blue")]
+    hpcomp.stack(layers, tmp_path / "plain.exr")
+    plain = hpcomp.read_layer(str(tmp_path / "plain.exr")).pixels
+    assert np.abs(pixels("veil").astype(float) - plain).max() < 0.02
     assert np.array_equal(before[:, : SIZE // 4], after[:, : SIZE // 4])
 
 

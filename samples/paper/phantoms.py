@@ -187,7 +187,7 @@ def piggy_bank(x: Field, y: Field, z: Field) -> Field:
         coin = both(np.hypot(a, c) - 0.155, np.abs(b) - 0.020)
         coins[near] = np.minimum(coins[near], coin)
     values = put(np.zeros_like(x), china, 0.35)
-    return put(values, coins, -0.50, BLUR / 2)
+    return put(values, coins, -0.50)
 
 
 # Where a coin is, how it is tilted and which way, in radians.
