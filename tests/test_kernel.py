@@ -1122,7 +1122,7 @@ class TestDoor:
         with refused():
             make_layer(STRIDED[stride](np.zeros((2, 3, 4), np.float32)))
 
-    @pytest.mark.parametrize("samples", [None, [[[0.0] * 4]], b"0123", 1.0, object()], ids=repr)
+    @pytest.mark.parametrize("samples", [None, [[[0.0] * 4]], b"0123", 1.0, object()], ids=lambda samples: type(samples).__name__)
     def test_samples_that_are_no_array(self, samples):
         with refused():
             _kernel.layer(samples, None, False, None, 0, 0, 1.0, 1, 3, False, False)
