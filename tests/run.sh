@@ -2,7 +2,7 @@
 # Makes .venv at the root of the checkout if it is missing, installs hpcomp with what its tests need
 # into it, and runs all tests.
 #
-#   sh tests/run.sh                      from any directory
+#   sh tests/run.sh                      from any directory; two files of tests at a time
 #   sh tests/run.sh tests/test_cli.py    passes arguments on to pytest
 #   VENV=/tmp/env sh tests/run.sh        uses another environment
 #   PYTHON=python3.12 sh tests/run.sh    names the interpreter that makes it
@@ -17,6 +17,9 @@ python=${PYTHON:-python3}
 # Compiled files stay in the environment, so that the next time only what changed is compiled.
 PIP_USER=0 "$venv/bin/python" -m pip install --quiet --disable-pip-version-check \
     --config-settings build-dir="$venv/build" "$root[test]"
+
+# Tests of one file share what takes long to make.
+[ $# -gt 0 ] || set -- --numprocesses 2 --dist loadfile
 
 # Not `python -m pytest`, which would import the checkout instead of what was installed.
 cd -- "$root"
