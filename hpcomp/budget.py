@@ -85,6 +85,7 @@ class Budget:
             + threads * max(reader.bytes_to_decode for reader in readers)
             + form.bytes_to_encode(width, threads)
             + threads * THREAD_BYTES
+            # Strips are reduced where they are prepared to be written.
             + writes_behind(threads) * engine.active().bytes_to_reduce(rules, len(readers))
             + extra[1],
         )

@@ -26,9 +26,6 @@ MOST_AT_ONCE = 32
 FOLDED_AT_ONCE = 256
 LAYER_BYTES = 1200
 
-#: Pairs of samples that are compared at a time, in fewer pixels the deeper these are.
-PAIRS_AT_ONCE = 1 << 24
-
 
 def flat(
     samples: DeepSamples,
@@ -119,7 +116,7 @@ def _composited(
             opacities=(1.0,) * height,
         )
         arrival, layers_at_once = list(of_height.arrival), _layers_at_once(of_height, height)
-        pixels_at_once = max(1, PAIRS_AT_ONCE // height**2)
+        pixels_at_once = max(1, engine.active().PAIRS_AT_ONCE // height**2)
         for first in range(0, len(pixels), pixels_at_once):
             go_on()
             part = slice(first, first + pixels_at_once)

@@ -118,7 +118,10 @@ def stdout_bytes() -> BinaryIO:
 def _temporary_directory() -> str:
     import tempfile  # with all that it imports, which a plain output has no use for
 
-    return tempfile.gettempdir()
+    try:
+        return tempfile.gettempdir()
+    except OSError as reason:
+        raise OutputError(f"stdout: no temporary file can be made: {why(reason)}") from None
 
 
 def _copy(path: str, stream: BinaryIO) -> None:

@@ -13,7 +13,7 @@ import numpy as np
 import OpenEXR
 import OpenImageIO as oiio
 
-COMPRESSIONS = {"none": 0, "rle": 1, "zips": 2, "zip": 3, "zstd": 10}
+COMPRESSIONS = {"none": 0, "rle": 1, "zips": 2, "zip": 3, "zstd": 13}
 _TYPES = {"uint32": (0, "<u4"), "float16": (1, "<f2"), "float32": (2, "<f4")}
 NAMES = ("A", "B", "G", "R", "Z", "ZBack")
 

@@ -626,6 +626,33 @@ def assert_ended(process, number):
     assert "bug" not in stderr.decode()
 
 
+IMPORTING = """
+import os, signal, sys
+os.environ["OPENBLAS_NUM_THREADS"] = "1"  # as the command does; another thread would take signals
+from hpcomp.cli import signals
+
+class Interrupting:
+    def find_spec(self, name, path=None, target=None):
+        if name == "OpenImageIO":
+            os.kill(os.getpid(), signal.SIGTERM)
+
+sys.meta_path.insert(0, Interrupting())
+signals.install()
+try:
+    import hpcomp.imagefile.openimageio
+except signals.Terminated:
+    print("OpenImageIO" in sys.modules)
+"""
+
+
+def test_a_signal_waits_for_the_import_of_an_extension(tmp_path):
+    """One that is interrupted while it starts may abort the process."""
+    done = subprocess.run(
+        [sys.executable, "-c", IMPORTING], cwd=tmp_path, capture_output=True, text=True
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (0, "True\n", "")
+
+
 @pytest.mark.parametrize("number", list(SIGNALS), ids=lambda number: number.name)
 @pytest.mark.parametrize("threads", [1, 2])
 @pytest.mark.parametrize("options", [["png", "0"], ["exr", "none"]], ids=ENDINGS)

@@ -11,7 +11,7 @@ from strategies import color_of, hue_direction
 from test_findings import assert_agree, strips_of
 from test_kernel import run_arrays
 
-from hpcomp import addition, engine, kernel, reference
+from hpcomp import engine, kernel, reference
 from hpcomp.compositing import stack_rules
 from hpcomp.kernel import _kernel
 from hpcomp.workers import Workers
@@ -64,6 +64,33 @@ def test_any_number_of_terms(n, kind, hue_tolerance, gray_bias):
         n, op="plus", order="simultaneous", hue_tolerance=hue_tolerance, gray_bias=gray_bias
     )
     assert_agrees(rules, crowd(hues_of(kind, n)))
+
+
+def sum_by_matrices(p, hue_tolerance):
+    """The rule for p (n, 2), as the products of matrices of all pairs; (2)."""
+    m, hue = np.hypot(*p.T), np.arctan2(*p.T[::-1])
+    angle = np.abs(hue[:, None] - hue)
+    angle = np.degrees(np.minimum(angle, 2 * np.pi - angle))
+    t = np.clip(angle / hue_tolerance - 1, 0, 1)
+    e = 1 - t**2 * (3 - 2 * t)
+    support = (e * m).sum(axis=1)[:, None] - (e * m) @ e.T
+    hold = np.minimum(m[:, None], m).sum(axis=1)
+    strength = np.minimum(support.T, hold)
+    q = np.divide(strength, support, out=np.zeros_like(e), where=support > 1e-12)
+    part = ((1 - e) * np.clip(q, 0, 1)).max(axis=1)
+    return ((1 - part)[:, None] * p).sum(axis=0)
+
+
+@pytest.mark.parametrize("hue_tolerance", [2, 60])
+@pytest.mark.parametrize("kind", ["anywhere", "labels", "a band"])
+def test_thousands_of_terms(kind, hue_tolerance):
+    layers = crowd(hues_of(kind, 2000)[:, :1], 1)
+    rules = stack_rules(2000, op="plus", order="simultaneous", hue_tolerance=hue_tolerance)
+    found = run_arrays(kernel, rules, layers).samples[0, 0, :3].astype(float)
+    _, terms = rules.space.forward(layers[:, 0, 0, :3].T.astype(float))
+    _, p = rules.space.forward(found[:, None])
+    expected = sum_by_matrices(terms.T, hue_tolerance)
+    assert np.abs(p[:, 0] - expected).max() <= 1e-5 * np.hypot(*terms).sum()
 
 
 def test_a_rival_anywhere_on_the_circle_counts():
@@ -209,13 +236,3 @@ def test_work_that_nobody_waits_for_ends():
     workers = Workers(2)
     with pytest.raises(KeyError):
         fail_meanwhile()
-
-
-def test_every_blending_at_once_is_a_sum_of_all():
-    """What needs no pairs is not slowed down by them, however many there are."""
-    layers = crowd(hues_of("anywhere", 100))
-    total = layers[..., :3].astype(float).sum(axis=0)
-    rules = stack_rules(100, op="plus", order="simultaneous", blending="traditional")
-    found = run_arrays(kernel, rules, layers).samples[..., :3]
-    assert np.abs(found - total).max() <= ROUNDING
-    assert addition.BLENDINGS["traditional"].depends_on_order is False

@@ -368,7 +368,7 @@ def test_zstd_is_repacked_first(desk, tile):
     assert list(desk.temporary.iterdir()) == []
 
 
-def test_zstd_that_is_damaged_or_has_no_room_is_an_error_of_one_line(desk):
+def test_zstd_that_is_cut_short_or_has_no_room_is_an_error_of_one_line(desk):
     deepfile.write(desk / "a.exr", noise(120, 40, 6))
     deepfile.repacked(desk / "a.exr", desk / "z.exr", OpenEXR.ZSTD_COMPRESSION)
     content = (desk / "z.exr").read_bytes()
@@ -378,6 +378,33 @@ def test_zstd_that_is_damaged_or_has_no_room_is_an_error_of_one_line(desk):
     full = ["unshare", "--map-root-user", "--mount", "sh", "-c", script, "sh"]
     how = {"through": full, "says": ["z.exr", "is the disk full?"]}
     desk.refuses(3, "flatten", "z.exr", "-o", "x.exr", **how)
+    nowhere = ["sh", "-c", 'ulimit -f 0; exec "$@"', "sh"]
+    for name, output, code in (("z.exr", "x.exr", 3), ("-", "x.exr", 3), ("a.exr", "-", 5)):
+        desk.refuses(code, "flatten", name, "-o", output, "--format", "exr", stdin=content,
+                     through=nowhere, says=["no temporary file can be made"])  # fmt: skip
+
+
+def test_what_cannot_be_flattened_is_not_repacked_first(desk):
+    deepfile.write(desk / "a.exr", of_pixels([[[(0.1, 0.2, 0.3, 0.5)]]], ("R", "G", "B", "A")))
+    deepfile.repacked(desk / "a.exr", desk / "z.exr", OpenEXR.ZSTD_COMPRESSION)
+    run = desk.run("flatten", "z.exr", "-o", "x.exr", "-v")
+    assert run.code == 3
+    assert "has no depth Z" in run.stderr
+    assert "repacked" not in run.stderr
+
+
+@pytest.mark.parametrize("tile", [None, (64, 128)])
+def test_zstd_stays_in_the_budget(tmp_path, tile):
+    peaks = []
+    for size in ((4, 4, 3), (1000, 260, 14)):
+        deepfile.write(tmp_path / "a.exr", noise(*size, tile=tile))
+        deepfile.repacked(tmp_path / "a.exr", tmp_path / "z.exr", OpenEXR.ZSTD_COMPRESSION)
+        most, *rest = peak(
+            [tmp_path / "z.exr", "-o", tmp_path / "out.exr", "--threads", 1, "--max-memory", "64M"]
+        )
+        assert rest == [0, ""]
+        peaks.append(most)
+    assert peaks[1] - peaks[0] <= 64 + NOISE_M
 
 
 def test_colours_are_converted_to_the_working_primaries(desk):

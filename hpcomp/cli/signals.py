@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import contextlib
 import signal
-from collections.abc import Iterator
 from importlib import import_module
 from types import FrameType, ModuleType
+
+from .. import heldsignals
+from ..heldsignals import held
 
 
 class Terminated(BaseException):
@@ -15,9 +16,8 @@ class Terminated(BaseException):
 
 #: The signals that end a run, each with what it raises.
 ENDING: dict[int, type[BaseException]] = {
-    signal.SIGINT: KeyboardInterrupt,
-    signal.SIGTERM: Terminated,
-    signal.SIGHUP: Terminated,
+    number: KeyboardInterrupt if number == signal.SIGINT else Terminated
+    for number in heldsignals.ENDING
 }
 
 
@@ -35,17 +35,7 @@ def _end(signal_number: int, frame: FrameType | None) -> None:
     raise ENDING[signal_number]
 
 
-@contextlib.contextmanager
-def held() -> Iterator[None]:
-    """Signals wait until the end of the block."""
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, ENDING)
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
 def load(module: str) -> ModuleType:
-    """Imports a module of hpcomp: an extension that is interrupted while it starts may abort."""
+    """Imports a module of hpcomp, which a signal does not interrupt."""
     with held():
         return import_module(module)

@@ -51,7 +51,8 @@ def open_deep(
         if chosen.compression not in COMPRESSIONS.values():
             from .openimageio import repack_deep
 
-            _, copy = opened.enter_context(temporary())
+            _channel_names(chosen, group, label)  # else it would be repacked in vain
+            _, copy = opened.enter_context(temporary(label))
             log.info("%s is packed as %s, and repacked first", label, chosen.compression)
             repack_deep(path, chosen, copy, "zips", label)
             file = describe(copy, label)
@@ -100,14 +101,7 @@ class DeepReader:
             alpha or file.alpha_mode,
             stored_straight=False,
         )
-        names = [channel.name for channel in part.channels]
-        self._color = [c.name for c in (*group.color, deep_alpha(part, group, self.label))]
-        if FRONT not in names:
-            raise InputError(
-                f"{self.label} has no depth {FRONT}, only {', '.join(names)}: "
-                "deep data need one to be sorted by"
-            )
-        self._depth = [FRONT, *[name for name in BACKS if name in names][:1]]
+        self._color, self._depth = _channel_names(part, group, self.label)
         raw = RawFile(file.path, file.identity, self.label)
         layout = layout_of(raw, part.index, self.label)
         if layout.window != part.data_window:
@@ -197,6 +191,18 @@ class DeepReader:
             f"{self.label}: {samples_are} NaN or infinite, the first in pixel {first}: "
             "--nonfinite zero or keep lets them pass"
         )
+
+
+def _channel_names(part: Part, group: ColorGroup, label: str) -> tuple[list[str], list[str]]:
+    """Of colour and alpha, and of the depths. Errors: `InputError` where one is missing."""
+    names = [channel.name for channel in part.channels]
+    color = [c.name for c in (*group.color, deep_alpha(part, group, label))]
+    if FRONT not in names:
+        raise InputError(
+            f"{label} has no depth {FRONT}, only {', '.join(names)}: "
+            "deep data need one to be sorted by"
+        )
+    return color, [FRONT, *[name for name in BACKS if name in names][:1]]
 
 
 def _broken(front: Any, back: Any, stored: Any) -> NDArray[np.bool_]:

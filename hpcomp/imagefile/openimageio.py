@@ -10,15 +10,18 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
-import OpenImageIO as oiio
 
 from .. import exrheader
 from ..encoding import interop_id
 from ..errors import InputError, OutputError
+from ..heldsignals import held
 from ..samples import Samples
 from ..sourcedate import EXR_DATE, source_date
 from .exrscanlines import ExrForm
 from .parts import Channel, Part
+
+with held():
+    import OpenImageIO as oiio
 
 #: Of the sample types that files store.
 _SAMPLE_BYTES = {"uint8": 1, "uint16": 2, "half": 2, "float": 4, "uint": 4}
@@ -120,10 +123,7 @@ class OpenImageIOSource:
         else:
             pixels = self._tile_rows(first.index, stop, begin, end, first.type)
         if pixels is None:
-            raise InputError(
-                f"{self._label}: cannot be read, rows {begin} to {end - 1}: "
-                f"{error_text(self._reader)}"
-            )
+            raise _unreadable(self._label, begin, end, self._reader)
         pixels = pixels.reshape(end - begin, self._part.data_window.width, stop - first.index)
         return pixels.astype(np.float32) if first.type == "uint" else pixels
 
@@ -144,7 +144,7 @@ class OpenImageIOSource:
 
 
 def repack_deep(path: str, part: Part, to: str, compression: str, label: str) -> None:
-    """Writes the deep part, alone, into another EXR, some rows at a time.
+    """Writes the deep part, alone, into another EXR, a chunk at a time.
 
     Errors: `InputError`, also where there is no room for it.
     """
@@ -155,29 +155,33 @@ def repack_deep(path: str, part: Part, to: str, compression: str, label: str) ->
         spec.attribute("compression", compression)
         target = oiio.ImageOutput.create("openexr")
         assert target is not None  # the format is part of OpenImageIO itself
-        window, rows = part.data_window, part.rows_per_block
-        done = target.open(to, spec)
-        for begin in range(window.y, window.bottom, rows):
-            end = min(begin + rows, window.bottom)
-            across: tuple[int, ...] = begin, end, 0
-            read: Any
-            write: Any
-            if part.tile is None:
-                read, write = source.read_native_deep_scanlines, target.write_deep_scanlines
-            else:
-                across = window.x, window.right, begin, end, 0, 1
-                read, write = source.read_native_deep_tiles, target.write_deep_tiles
-            samples = read(part.index, 0, *across, 0, spec.nchannels)
-            if samples is None:
-                raise InputError(
-                    f"{label}: cannot be read, rows {begin} to {end - 1}: {error_text(source)}"
-                )
-            done = done and write(*across, samples)
+        window, done = part.data_window, target.open(to, spec)
+        width, height = part.tile or (window.width, part.rows_per_block)
+        for begin in range(window.y, window.bottom, height):
+            end = min(begin + height, window.bottom)
+            for left in range(window.x, window.right, width):
+                where: tuple[int, ...] = begin, end, 0
+                read: Any
+                write: Any
+                if part.tile is None:
+                    read, write = source.read_native_deep_scanlines, target.write_deep_scanlines
+                else:
+                    where = left, min(left + width, window.right), begin, end, 0, 1
+                    read, write = source.read_native_deep_tiles, target.write_deep_tiles
+                samples = read(part.index, 0, *where, 0, spec.nchannels)
+                if samples is None:
+                    raise _unreadable(label, begin, end, source)
+                done = done and write(*where, samples)
         if not (target.close() and done):
             raise InputError(
                 f"{label}: cannot be unpacked into a temporary file, is the disk full? "
                 + error_text(target, "it is incomplete").replace(to, "it")
             )
+
+
+def _unreadable(label: str, begin: int, end: int, source: Any) -> InputError:
+    rows = f"rows {begin} to {end - 1}" if end - begin > 1 else f"row {begin}"
+    return InputError(f"{label}: cannot be read, {rows}: {error_text(source)}")
 
 
 class OpenImageIOExrWriter:

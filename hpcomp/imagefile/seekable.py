@@ -27,7 +27,7 @@ def seekable(path: str, label: str) -> Iterator[str]:
         return
     if path == STDIN and sys.stdin is None:
         raise InputError(f"{label}: stdin is closed")
-    with temporary() as (copy, copy_path):
+    with temporary(label) as (copy, copy_path):
         try:
             if path == STDIN:
                 _copy_pipe(sys.stdin.fileno(), copy)
@@ -41,13 +41,22 @@ def seekable(path: str, label: str) -> Iterator[str]:
 
 
 @contextlib.contextmanager
-def temporary() -> Iterator[tuple[IO[bytes], str]]:
-    """A temporary file and its path; it goes with the process, however that ends, where it can."""
+def temporary(label: str) -> Iterator[tuple[IO[bytes], str]]:
+    """A temporary file and its path; it goes with the process, however that ends, where it can.
+
+    `label`: of what is to be copied there, for the `InputError` where no file can be made.
+    """
     import tempfile  # with all that it imports, which plain files have no use for
 
     unnamed = sys.platform == "linux"
     make = tempfile.TemporaryFile if unnamed else tempfile.NamedTemporaryFile
-    with make(prefix="hpcomp.") as file:
+    try:
+        file = make(prefix="hpcomp.")
+    except OSError as reason:
+        raise InputError(
+            f"{label}: cannot be read, as no temporary file can be made: {why(reason)}"
+        ) from None
+    with file:
         yield file, f"/dev/fd/{file.fileno()}" if unnamed else str(file.name)
 
 

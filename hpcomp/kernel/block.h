@@ -33,7 +33,7 @@ constexpr int64_t term_floats(int64_t n) { return n * 5 * kBlock; }
 constexpr int64_t tabled(int64_t n) { return n < kTabledTerms ? n : kTabledTerms; }
 constexpr int64_t number_floats(int64_t n) { return rounded_up(n + (tabled(n) + 1) * tabled(n)); }
 constexpr int64_t pair_floats(int64_t n) { return (2 * tabled(n) + 4) * tabled(n) * kLanes; }
-constexpr int64_t crowd_floats(int64_t n) { return n > kPairedTerms ? n * 42 : 0; }
+constexpr int64_t crowd_floats(int64_t n) { return n > kPairedTerms ? n * 47 : 0; }
 constexpr int64_t reducing_floats(Order order, int64_t n) {
     if (order != Order::kSimultaneous) return 0;
     const int64_t pairs = pair_floats(n), crowd = crowd_floats(n);

@@ -37,7 +37,7 @@ struct Crowd {
     Window *backers;         // (n): all whose shoulder with the term is not 0
     double *support, *hold;  // (n): what backs it, and the most that its own hue can hold
     double *strength;        // (3 n): as a rival of hues without a common backer
-    double *rest;            // (2 n + 1): more scratch
+    double *rest;            // (5 n + 4): more scratch
 
     Crowd(const Rules &rules, int n, double *scratch) : n(n) {
         const auto take = [&scratch](int64_t doubles) { return (scratch += doubles) - doubles; };
@@ -139,63 +139,82 @@ double cancelled(const Rules &rules, double strength, double support) {
     return rules.gray_power > 0 ? q * double(bias(rules, float(q))) : q;
 }
 
-// A term's backers: radians from it to them, and how much each backs it. Zeros follow, for a register.
+// What backs a term, by angle from it in tolerances: sums of how much, times the powers 0 to 3 of that
+// angle. A shoulder is a cubic, so these give what else it backs without a look at every backer.
 struct Backing {
-    float *angle, *m;
-    Window of;
+    int n;
+    double *angle;    // (n)
+    double *sums[4];  // (n + 1): of those before
+
+    Backing(const Crowd &crowd) : n(0), angle(crowd.rest) {
+        for (int power = 0; power < 4; ++power)
+            sums[power] = crowd.rest + crowd.n + power * int64_t(crowd.n + 1);
+    }
 
     void fill(const Rules &rules, const Crowd &crowd, int i) {
-        of = crowd.backers[i];
-        const int n = of.end - of.begin;
+        const Window of = crowd.backers[i];
+        n = of.end - of.begin;
+        for (int power = 0; power < 4; ++power) sums[power][0] = 0;
         for (int k = 0; k < n; ++k) {
-            const double to = crowd.hue[of.begin + k] - crowd.terms[i].hue;
-            angle[k] = float(to);
-            m[k] = float(shoulder(rules, magnitude(to)) * crowd.m[of.begin + k]);
+            const double radians = crowd.hue[of.begin + k] - crowd.terms[i].hue;
+            angle[k] = radians / crowd.equal;
+            double share = shoulder(rules, magnitude(radians)) * crowd.m[of.begin + k];
+            for (int power = 0; power < 4; ++power) {
+                sums[power][k + 1] = sums[power][k] + share;
+                share *= angle[k];
+            }
         }
-        for (int k = n; k < n + kRegister; ++k) angle[k] = m[k] = 0;
+    }
+
+    double sum(int power, int begin, int end) const { return sums[power][end] - sums[power][begin]; }
+};
+
+// Slides over other hues: how much backs both the term and such a one.
+struct Common {
+    const Backing &backing;
+    bool smooth;
+    int edges[4] = {};  // where the other's shoulder begins, is 1, begins to fall, and ends
+
+    double to(double other) {
+        constexpr double offsets[4] = {-2, -1, 1, 2};
+        for (int e = 0; e < 4; ++e)
+            while (edges[e] < backing.n && backing.angle[edges[e]] < other + offsets[e]) ++edges[e];
+        double both = backing.sum(0, edges[1], edges[2]);
+        if (smooth) both += side(other - 1, -1, edges[0], edges[1]) + side(other + 1, 1, edges[2], edges[3]);
+        return both;
+    }
+
+    // Of 1 - t * t * (3 - 2 * t) with t from 0 to 1 on the way from `foot` to that side.
+    double side(double foot, double sign, int begin, int end) const {
+        if (begin == end) return 0;
+        const double s = sign * foot;
+        return (1 - s * s * (3 + 2 * s)) * backing.sum(0, begin, end) +
+               sign * 6 * s * (1 + s) * backing.sum(1, begin, end) -
+               (3 + 6 * s) * backing.sum(2, begin, end) + sign * 2 * backing.sum(3, begin, end);
     }
 };
 
-// What backs both a term and a hue at an angle `other` from it: the sum over some of its backers.
-template <bool kSmooth>
-float backing_both(const Rules &rules, const float *angle, const float *m, int n, float other) {
-    Lanes sum = {};
-    for (int k = 0; k < n; k += kRegister) {
-        const Lanes difference = lanes_of(angle + k) - other;
-        const Lanes one_way = difference < 0.0f ? -difference : difference;
-        const Lanes between = smaller(one_way, float(kTurn) - one_way);
-        Lanes e;
-        if (kSmooth) {
-            Lanes t = between * rules.inverse_tolerance - 1.0f;
-            t = smaller(t < 0.0f ? Lanes{} : t, Lanes{} + 1.0f);
-            e = 1.0f - t * t * (3.0f - 2.0f * t);
-        } else {
-            e = between <= rules.tolerance ? Lanes{} + 1.0f : Lanes{};
-        }
-        sum += lanes_of(m + k) * e;
+// What its rivals near by cancel of a term at most; `same` are those of its own hue.
+double cancelled_near(const Rules &rules, const Crowd &crowd, const Backing &backing, int i, Window near,
+                      Window same) {
+    const bool smooth = rules.inverse_tolerance > 0;
+    const double turn = kTurn / crowd.equal;
+    // Far shoulders may meet on the other side of the circle, too.
+    const bool both_ways = crowd.end > kPi / 2;
+    Common common{backing, smooth}, from_below{backing, smooth}, from_above{backing, smooth};
+    double part = 0;
+    for (int j = near.begin; j < near.end; ++j) {
+        if (j == same.begin) j = same.end;
+        if (j >= near.end) break;
+        const double radians = crowd.hue[j] - crowd.terms[i].hue, other = radians / crowd.equal;
+        double both = common.to(other);
+        if (both_ways) both += from_below.to(other - turn) + from_above.to(other + turn);
+        const int rival = j % crowd.n;
+        const double strength = smaller(larger(crowd.support[rival] - both, 0.0), crowd.hold[rival]);
+        const double unequal = 1 - shoulder(rules, magnitude(radians));
+        part = larger(part, unequal * cancelled(rules, strength, crowd.support[i] - both));
     }
-    float total = 0;
-    for (int l = 0; l < kRegister; ++l) total += sum[l];
-    return total;
-}
-
-// What rival `j` (of 3 n) cancels of term `i`, which it may share backers with.
-double cancelled_by(const Rules &rules, const Crowd &crowd, const Backing &backing, int i, int j) {
-    const double to = crowd.hue[j] - crowd.terms[i].hue;
-    const int rival = j % crowd.n, turns = j - rival - crowd.n;
-    int begin = backing.of.begin, end = backing.of.end;
-    if (crowd.end <= kPi / 2) {  // or else their windows may meet on either side of the circle
-        begin = std::max(begin, crowd.backers[rival].begin + turns);
-        end = std::min(end, crowd.backers[rival].end + turns);
-    }
-    double both = 0;
-    if (begin < end) {
-        const auto sum = rules.inverse_tolerance > 0 ? backing_both<true> : backing_both<false>;
-        const int first = begin - backing.of.begin;
-        both = double(sum(rules, backing.angle + first, backing.m + first, end - begin, float(to)));
-    }
-    const double strength = smaller(larger(crowd.support[rival] - both, 0.0), crowd.hold[rival]);
-    return (1 - shoulder(rules, magnitude(to))) * cancelled(rules, strength, crowd.support[i] - both);
+    return part;
 }
 
 }  // namespace
@@ -214,8 +233,7 @@ void sum_of_crowd(const Rules &rules, const float *p, const int *there, int n, f
     crowd.repeat(crowd.strength, 0);
 
     Sliding equal{crowd, crowd.equal}, sharing{crowd, smaller(2 * crowd.end, kPi)};
-    float *row = reinterpret_cast<float *>(crowd.rest);
-    Backing backing{row, row + n + kRegister, {}};
+    Backing backing(crowd);
     double total0 = 0, total1 = 0;
     for (int i = 0; i < n; ++i) {
         const Term &term = crowd.terms[i];
@@ -223,11 +241,10 @@ void sum_of_crowd(const Rules &rules, const float *p, const int *there, int n, f
         double strongest = 0;
         for (int j = near.end; j < near.begin + n; ++j) strongest = larger(strongest, crowd.strength[j]);
         double part = cancelled(rules, strongest, crowd.support[i]);
-        if (near.end - near.begin > same.end - same.begin) backing.fill(rules, crowd, i);
-        for (int j = near.begin; j < same.begin; ++j)
-            part = larger(part, cancelled_by(rules, crowd, backing, i, j));
-        for (int j = same.end; j < near.end; ++j)
-            part = larger(part, cancelled_by(rules, crowd, backing, i, j));
+        if (near.end - near.begin > same.end - same.begin) {
+            backing.fill(rules, crowd, i);
+            part = larger(part, cancelled_near(rules, crowd, backing, i, near, same));
+        }
         total0 += (1 - part) * double(term.x);
         total1 += (1 - part) * double(term.y);
     }
