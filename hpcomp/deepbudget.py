@@ -35,7 +35,8 @@ class Need:
     `block`: rows that are stored together, counted from row `block_begin` of the window.
     `per_row`: of a row without samples; `per_sample`; `held`: of a row that waits to be written.
     `counts`: of how many samples each pixel of what is stored together has, while it is read;
-    `chunk`: the largest of what is stored together, unpacked.
+    `chunk`: the largest of what is stored together, unpacked; `reducing`: what a pixel of `deepest`
+    samples takes beside these, no pixel having more.
     """
 
     window: Window
@@ -95,7 +96,9 @@ class Need:
         if least > self.granted:
             because = ""
             if samples:
-                because = f", as row {row} has {samples} samples, and one pixel {self.deepest}"
+                because = (
+                    f", as row {row} has {samples} samples, and one pixel up to {self.deepest}"
+                )
             raise MismatchError(
                 f"this needs at least {-(-least // 2**20)}M{because}: raise --max-memory, which is "
                 f"{self.granted / 2**20:.0f}M"

@@ -116,7 +116,9 @@ def _composited(
             opacities=(1.0,) * height,
         )
         arrival, layers_at_once = list(of_height.arrival), _layers_at_once(of_height, height)
-        pixels_at_once = max(1, engine.active().PAIRS_AT_ONCE // height**2)
+        pixels_at_once = len(pixels)
+        if of_height.order is ORDERS["simultaneous"]:  # which takes the square of the height
+            pixels_at_once = max(1, engine.active().PAIRS_AT_ONCE // height**2)
         for first in range(0, len(pixels), pixels_at_once):
             go_on()
             part = slice(first, first + pixels_at_once)

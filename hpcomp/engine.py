@@ -2,9 +2,9 @@
 
 Both have the same face: `NAME`, and `start(rules, width, height, dtype)` for a strip, whose `add`
 takes layers, whose `result` gives samples, and whose `nonfinite` counts pixels with NaN or Inf;
-`bytes_to_reduce(rules, layers)`, memory that a strip takes beside its samples; `PAIRS_AT_ONCE`, how
-many pairs of terms, of all its pixels, it has compared before one would wait; and the module named
-in `MEASURING`, whose `findings` say what blending did to the hues of a strip, and
+`bytes_to_reduce(rules, layers)`, memory that a strip takes beside its samples; `PAIRS_AT_ONCE`, the
+most that is to be asked of it at a time where it cannot be interrupted; and the module named in
+`MEASURING`, whose `findings` say what blending did to the hues of a strip, and
 `result_and_findings` that beside the result.
 """
 

@@ -30,7 +30,7 @@ MEASURING = "hpcomp.findings"
 #: Pixels that are composited at a time, so that a few planes of them stay in the L2 cache.
 BLOCK_PIXELS = 16_384
 
-#: Pairs of terms that take it a part of a second.
+#: Pairs of terms of the order `simultaneous` that take it a part of a second.
 PAIRS_AT_ONCE = 1 << 17
 
 #: Of two terms that are added at once: their shoulder, support, rivalry, and what these take.

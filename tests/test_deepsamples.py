@@ -54,10 +54,11 @@ def flattened(*pixels, blending="hue-preserving", order="bottom-up"):
     return flat(of_pixels(*pixels), rules, "float", Losses(), REC709)
 
 
-def test_work_can_be_given_up_in_the_middle():
+def test_work_can_be_given_up_in_the_middle(monkeypatch):
     """Of one pixel of many volumes that overlap, and of many deep ones in one stack."""
+    monkeypatch.setattr(engine.active(), "PAIRS_AT_ONCE", 4 * 100**2)
     volumes = [(0.01, 0.0, 0.01 * (n % 2), 0.02, n, 1000.0 - n) for n in range(300)]
-    points = [[(0.01, 0.0, 0.01 * (n % 2), 0.02, n, n) for n in range(2000)]] * 40
+    points = [[(0.01, 0.0, 0.01 * (n % 2), 0.02, n, n) for n in range(96)]] * 40
     for pixels in ([volumes], points):
         done = []
 
@@ -70,6 +71,18 @@ def test_work_can_be_given_up_in_the_middle():
         with pytest.raises(KeyError):
             flat(of_pixels(*pixels), rules, "float", Losses(), REC709, go_on)
         assert len(done) == 9
+
+
+@pytest.mark.parametrize(("order", "calls"), [("bottom-up", 1), ("balanced", 1), ("simultaneous", 10)])
+def test_deep_pixels_share_a_stack_as_far_as_signals_allow(monkeypatch, order, calls):
+    """Each call of the engine costs something for each layer, whatever the number of pixels."""
+    monkeypatch.setattr(engine.active(), "PAIRS_AT_ONCE", 4 * 400**2)
+    begun, start = [], engine.start
+    monkeypatch.setattr(engine, "start", lambda *given: begun.append(given) or start(*given))
+    points = [[(0.01, 0.0, 0.01 * (n % 2), 0.02, n, n) for n in range(384)]] * 40
+    flattened(*points, order=order)
+    assert len(begun) == calls
+    assert sum(width for _, width, _ in begun) == 40
 
 
 def plain_sum(counts, rgba):

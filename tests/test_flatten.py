@@ -277,7 +277,7 @@ def test_thousands_of_samples_in_one_pixel_stay_in_the_budget(tmp_path, order):
 def test_a_pixel_that_does_not_fit_names_the_least_memory(desk, order):
     deepfile.write(desk / "a.exr", skewed(5000))
     how = ("flatten", "a.exr", "-o", "x.exr", "--order", order, "--max-memory")
-    line = desk.refuses(4, *how, "48M", says=["at least", "and one pixel 5000", "which is 48M"])
+    line = desk.refuses(4, *how, "48M", says=["at least", "and one pixel up to 5000", "which is 48M"])
     desk.makes(*how, line.partition("at least ")[2].partition(",")[0])
 
 
@@ -300,7 +300,7 @@ def test_a_row_that_does_not_fit_names_the_least_memory(desk):
     deepfile.write(desk / "a.exr", Deep(counts, planes, origin=(0, 5)))
     line = desk.refuses(
         4, "flatten", "a.exr", "-o", "x.exr", "--max-memory", "20M",
-        says=["at least", "row 8 has 100019 samples, and one pixel 100000", "which is 20M"],
+        says=["at least", "row 8 has 100019 samples, and one pixel up to 100000", "which is 20M"],
     )  # fmt: skip
     least = line.partition("at least ")[2].partition(",")[0]
     planes["Z"][:] = np.arange(counts.sum()) % 1000

@@ -32,8 +32,8 @@ NAME = "kernel"
 DECODES_IN_NUMPY = False
 #: Where its `findings` are, with all that they import.
 MEASURING = "hpcomp.kernel.measuring"
-#: Pairs of terms that take it a small part of a second.
-PAIRS_AT_ONCE = 1 << 22
+#: Pairs of terms of the order `simultaneous` that take it a small part of a second.
+PAIRS_AT_ONCE = 1 << 24
 
 #: Chooses an instruction set by name; the tests compare them.
 LEVEL_VARIABLE = "HPCOMP_KERNEL_LEVEL"
