@@ -29,14 +29,22 @@ Names are imported on first use, so that importing the package costs nothing.
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-__version__ = "0.1.0"
+from .version import __version__
 
 if TYPE_CHECKING:
-    from .arrays import composite as composite
-    from .arrays import hue_add as hue_add
-    from .checking import CheckResult as CheckResult
-    from .checking import check as check
-    from .encoding import Losses as Losses
+    from .analysis.check import CheckResult as CheckResult
+    from .analysis.check import check as check
+    from .analysis.explain import PixelExplanation as PixelExplanation
+    from .analysis.explain import explain as explain
+    from .analysis.hues import read_hues as read_hues
+    from .analysis.palette import Palette as Palette
+    from .analysis.palette import palette as palette
+    from .blending.orders import ORDERS as ORDERS
+    from .blending.porter_duff import OPERATORS as OPERATORS
+    from .color.encoding import Losses as Losses
+    from .color.spaces import SPACES as SPACES
+    from .engine.arrays import composite as composite
+    from .engine.arrays import hue_add as hue_add
     from .errors import ExitCode as ExitCode
     from .errors import HpcompError as HpcompError
     from .errors import HpcompWarning as HpcompWarning
@@ -45,15 +53,9 @@ if TYPE_CHECKING:
     from .errors import MismatchError as MismatchError
     from .errors import OutputError as OutputError
     from .errors import SettingError as SettingError
-    from .explanation import PixelExplanation as PixelExplanation
-    from .explanation import explain as explain
-    from .flattening import flatten as flatten
     from .geometry import Window as Window
-    from .histogram import HueHistogram as HueHistogram
-    from .histogram import hue_histogram as hue_histogram
-    from .imagefile import ImageFile as ImageFile
-    from .imagefile import LayerImage as LayerImage
-    from .imagehues import read_hues as read_hues
+    from .imagefile.parts import ImageFile as ImageFile
+    from .imagefile.reading import LayerImage as LayerImage
     from .jobs.batch import BatchResult as BatchResult
     from .jobs.batch import JobRecord as JobRecord
     from .jobs.batch import batch as batch
@@ -61,32 +63,30 @@ if TYPE_CHECKING:
     from .jobs.jobfile import read_jobs as read_jobs
     from .jobs.jobfile import save_jobs as save_jobs
     from .jobs.schema import Job as Job
-    from .measures import StackMeasures as StackMeasures
-    from .measures import stack_measures as stack_measures
-    from .orders import ORDERS as ORDERS
-    from .palettes import Palette as Palette
-    from .palettes import palette as palette
-    from .pipeline import StackResult as StackResult
-    from .pipeline import info as info
-    from .pipeline import read_layer as read_layer
-    from .pipeline import stack as stack
-    from .pipeline import write_image as write_image
-    from .porter_duff import OPERATORS as OPERATORS
-    from .report.formats import write_hue_report as write_hue_report
+    from .layers.layerspec import LayerSpec as LayerSpec
+    from .measures.histogram import HueHistogram as HueHistogram
+    from .measures.histogram import hue_histogram as hue_histogram
+    from .measures.labels import StackMeasures as StackMeasures
+    from .measures.labels import stack_measures as stack_measures
+    from .pipeline.flatten import flatten as flatten
+    from .pipeline.stack import StackResult as StackResult
+    from .pipeline.stack import info as info
+    from .pipeline.stack import read_layer as read_layer
+    from .pipeline.stack import stack as stack
+    from .pipeline.stack import write_image as write_image
+    from .report.hueformats import write_hue_report as write_hue_report
     from .report.paletteformats import write_palette_report as write_palette_report
-    from .spaces import SPACES as SPACES
-    from .stackfile import LayerSpec as LayerSpec
 
 # Where each name lives; the imports above say the same to type checkers.
 _HOME = {
     "BatchResult": ".jobs.batch",
     "JobRecord": ".jobs.batch",
     "batch": ".jobs.batch",
-    "CheckResult": ".checking",
-    "check": ".checking",
-    "composite": ".arrays",
-    "hue_add": ".arrays",
-    "Losses": ".encoding",
+    "CheckResult": ".analysis.check",
+    "check": ".analysis.check",
+    "composite": ".engine.arrays",
+    "hue_add": ".engine.arrays",
+    "Losses": ".color.encoding",
     "ExitCode": ".errors",
     "HpcompError": ".errors",
     "HpcompWarning": ".errors",
@@ -95,34 +95,34 @@ _HOME = {
     "MismatchError": ".errors",
     "OutputError": ".errors",
     "SettingError": ".errors",
-    "PixelExplanation": ".explanation",
-    "explain": ".explanation",
-    "flatten": ".flattening",
+    "PixelExplanation": ".analysis.explain",
+    "explain": ".analysis.explain",
+    "flatten": ".pipeline.flatten",
     "frame_jobs": ".jobs.frames",
     "Window": ".geometry",
-    "HueHistogram": ".histogram",
-    "hue_histogram": ".histogram",
-    "ImageFile": ".imagefile",
-    "LayerImage": ".imagefile",
-    "read_hues": ".imagehues",
+    "HueHistogram": ".measures.histogram",
+    "hue_histogram": ".measures.histogram",
+    "ImageFile": ".imagefile.parts",
+    "LayerImage": ".imagefile.reading",
+    "read_hues": ".analysis.hues",
     "Job": ".jobs.schema",
     "read_jobs": ".jobs.jobfile",
     "save_jobs": ".jobs.jobfile",
-    "StackMeasures": ".measures",
-    "stack_measures": ".measures",
-    "ORDERS": ".orders",
-    "Palette": ".palettes",
-    "palette": ".palettes",
-    "StackResult": ".pipeline",
-    "info": ".pipeline",
-    "read_layer": ".pipeline",
-    "stack": ".pipeline",
-    "write_image": ".pipeline",
-    "OPERATORS": ".porter_duff",
-    "write_hue_report": ".report.formats",
+    "StackMeasures": ".measures.labels",
+    "stack_measures": ".measures.labels",
+    "ORDERS": ".blending.orders",
+    "Palette": ".analysis.palette",
+    "palette": ".analysis.palette",
+    "StackResult": ".pipeline.stack",
+    "info": ".pipeline.stack",
+    "read_layer": ".pipeline.stack",
+    "stack": ".pipeline.stack",
+    "write_image": ".pipeline.stack",
+    "OPERATORS": ".blending.porter_duff",
+    "write_hue_report": ".report.hueformats",
     "write_palette_report": ".report.paletteformats",
-    "SPACES": ".spaces",
-    "LayerSpec": ".stackfile",
+    "SPACES": ".color.spaces",
+    "LayerSpec": ".layers.layerspec",
 }
 
 __all__ = ["__version__", *_HOME]

@@ -21,10 +21,10 @@ from pathlib import Path
 import click
 
 import hpcomp
+from hpcomp.blending.porter_duff import OPERATORS, Operator
 from hpcomp.cli import cli
-from hpcomp.encoding import COLOR_INTEROP_IDS, COLOR_SPACES
+from hpcomp.color.encoding import COLOR_INTEROP_IDS, COLOR_SPACES
 from hpcomp.errors import EXIT_CODE_MEANINGS
-from hpcomp.porter_duff import OPERATORS, Operator
 from hpcomp.report import huedata, palettedata, stackdata
 
 ROOT = Path(__file__).resolve().parent.parent

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from hypothesis import settings
 
-from hpcomp import arrays, engine
+from hpcomp.engine import arrays
+from hpcomp.engine import choice as engine
 
 # Some test files compare with colour, whose first import changes how numpy prints, where the examples
 # of README are printed as numpy does by itself, and warns of optional packages that nothing here needs.

@@ -3,7 +3,7 @@
 # into it, and runs all tests.
 #
 #   sh tests/run.sh                      from any directory; two files of tests at a time
-#   sh tests/run.sh tests/test_cli.py    passes arguments on to pytest
+#   sh tests/run.sh tests/command/test_cli.py passes arguments on to pytest
 #   VENV=/tmp/env sh tests/run.sh        uses another environment
 #   PYTHON=python3.12 sh tests/run.sh    names the interpreter that makes it
 

@@ -7,8 +7,8 @@ import sys
 
 import click
 
-from .. import __version__
 from ..errors import EXIT_CODE_MEANINGS, ExitCode, HpcompError, SettingError
+from ..version import __version__
 from . import signals
 from .messages import keep_libraries_off_stderr, open_standard_streams, say
 
@@ -49,7 +49,7 @@ class LazyGroup(click.Group):
 
 def _print_version(ctx: click.Context, param: click.Parameter, value: bool) -> None:
     if value and not ctx.resilient_parsing:
-        engine = signals.load("hpcomp.engine")
+        engine = signals.load("hpcomp.engine.choice")
         try:
             name = engine.active().NAME
         except SettingError as error:

@@ -1,4 +1,4 @@
-"""`hpcomp batch`: parses, calls `batching.batch`, tells how it goes."""
+"""`hpcomp batch`: parses, calls `jobs.batch.batch`, tells how it goes."""
 
 from __future__ import annotations
 

@@ -8,9 +8,9 @@ from typing import Any
 
 import click
 
-from ..depfile import Depfile
 from ..errors import ExitCode
-from ..outputfile import STDOUT
+from ..system.depfile import Depfile
+from ..system.outputs import STDOUT
 from .messages import say
 from .options import LayerCommand, depfile_options, message_options, print_data
 from .signals import load
@@ -117,9 +117,9 @@ def command(
       hpcomp check map.png base.png 'roads.png::opacity=0.6' rivers.exr --require-hue layer:roads
       hpcomp check map.png --hues 0,120,231 --max-foreign 1% --format json
     """
-    checking, report = load("hpcomp.checking"), load("hpcomp.report.check")
+    checking, report = load("hpcomp.analysis.check"), load("hpcomp.report.check")
     deps = Depfile.asked(depfile, depfile_target, [STDOUT])
-    read = [spec.path for spec in load("hpcomp.placedstack").layer_specs([image, *layers])]
+    read = [spec.path for spec in load("hpcomp.layers.placing").layer_specs([image, *layers])]
     with contextlib.nullcontext() if deps is None else deps.written(read):
         result = checking.check(image, layers, **options)
     if format == "json":

@@ -58,7 +58,7 @@ def command(layers: tuple[str, ...], at: str, format: str, **options: Any) -> No
       hpcomp explain base.png 'roads.png::opacity=0.6' 'mask.png::tint=#377eb8' --at 30,20
       hpcomp explain base.png 'roads.png::opacity=0.6' --at 30,20 --order top-down --format json
     """
-    explanation, report = load("hpcomp.explanation"), load("hpcomp.report.explanation")
+    explanation, report = load("hpcomp.analysis.explain"), load("hpcomp.report.explanation")
     pixel = explanation.explain(layers, at, **options)
     if format == "json":
         print_data(json.dumps(report.as_data(pixel), indent=2))

@@ -1,4 +1,4 @@
-"""`hpcomp flatten`: parses, calls `flattening.flatten`, prints nothing of its own."""
+"""`hpcomp flatten`: parses, calls `pipeline.flatten.flatten`, prints nothing of its own."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import Any
 
 import click
 
-from ..orders import ORDERS
+from ..blending.orders import ORDERS
 from .options import LayerCommand, make_options, message_options
 from .pictureoptions import picture_options
 from .signals import load
@@ -73,4 +73,4 @@ in the LAYER syntax of stack; `-` reads stdin. Keys:
 @make_options
 @message_options
 def command(images: tuple[str, ...], output: str, **options: Any) -> None:
-    load("hpcomp.flattening").flatten(images, output, **options)
+    load("hpcomp.pipeline.flatten").flatten(images, output, **options)

@@ -7,13 +7,13 @@ from typing import Any
 
 import click
 
+from ..color.spaces import SPACES
 from ..errors import HpcompError, InputError, MismatchError
-from ..histogram import DEFAULT_ACHROMATIC, DEFAULT_BINS, FEWEST_BINS, MOST_BINS, WEIGHTS
-from ..outputfile import STDOUT
-from ..report.formats import REPORT_FORMATS, put, report_format
+from ..layers.layerspec import LayerSpec
+from ..measures.histogram import DEFAULT_ACHROMATIC, DEFAULT_BINS, FEWEST_BINS, MOST_BINS, WEIGHTS
+from ..report.hueformats import REPORT_FORMATS, put, report_format
 from ..report.look import AXES, SCALES, Entry, Look
-from ..spaces import SPACES
-from ..stackfile import LayerSpec
+from ..system.outputs import STDOUT
 from . import terminal
 from .messages import say
 from .options import LayerCommand, make_options, message_options, print_bytes
@@ -134,7 +134,7 @@ def command(
     if target == STDOUT:
         look = terminal.look(look)
     render = chosen.load()
-    specs = load("hpcomp.imagehues").images_to_measure(images, target)
+    specs = load("hpcomp.analysis.hues").images_to_measure(images, target)
     writing = {name: settings.pop(name) for name in WRITING}
     # First of all, so that nothing is measured for a report that cannot be written.
     with opened_report(target, [spec.path for spec in specs], **writing) as place:
@@ -153,7 +153,7 @@ def _measured(
     specs: Sequence[LayerSpec], settings: dict[str, Any]
 ) -> tuple[list[Entry], list[HpcompError]]:
     """The histograms of the images that can be measured, and what is wrong with the others."""
-    measuring = load("hpcomp.imagehues")
+    measuring = load("hpcomp.analysis.hues")
     entries: list[Entry] = []
     failures: list[HpcompError] = []
     for spec in specs:

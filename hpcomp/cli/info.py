@@ -27,7 +27,7 @@ def command(ctx: click.Context, files: tuple[str, ...], as_json: bool) -> None:
     Parts, channels, windows, depth, alpha, light and primaries, and where each was read from.
     FILE may be `-` for stdin. Files that cannot be read are named on stderr, with exit code 3.
     """
-    pipeline, fileinfo = load("hpcomp.pipeline"), load("hpcomp.report.fileinfo")
+    pipeline, fileinfo = load("hpcomp.pipeline.stack"), load("hpcomp.report.fileinfo")
 
     described, failures = [], []
     for path in files:

@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 import click
 
 from ..errors import HpcompWarning, SettingError
-from ..outputfile import stdout_bytes, writing
+from ..system.outputs import stdout_bytes, writing
 from .messages import say
 
 #: Where a context keeps the answer of `is_quiet`.

@@ -8,18 +8,18 @@ from typing import Any
 
 import click
 
-from ..compositing import stack_rules
-from ..errors import ExitCode, SettingError
-from ..histogram import DEFAULT_ACHROMATIC
-from ..outputfile import STDOUT
-from ..palettes import (
+from ..analysis.palette import (
     DEFAULT_CLOSE_HUES,
     DEFAULT_GREY_OPACITY,
     DEFAULT_LEAST_DIFFERENCE,
     DEFAULT_OPACITY,
 )
-from ..report.formats import put
+from ..blending.rules import stack_rules
+from ..errors import ExitCode, SettingError
+from ..measures.histogram import DEFAULT_ACHROMATIC
+from ..report.hueformats import put
 from ..report.paletteformats import FIGURES, PALETTE_FORMATS, PaletteLook, load, palette_format
+from ..system.outputs import STDOUT
 from . import signals, terminal
 from .messages import say
 from .options import F, LayerCommand, make_options, message_options, print_bytes
@@ -156,7 +156,10 @@ def command(
             f"{'one colour' if colors else 'no colours'}: give two or more, and quote '#…', since "
             "in a shell an unquoted # begins a comment; e41a1c without # works as well"
         )
-    palettes, data = signals.load("hpcomp.palettes"), signals.load("hpcomp.report.palettedata")
+    palettes, data = (
+        signals.load("hpcomp.analysis.palette"),
+        signals.load("hpcomp.report.palettedata"),
+    )
     target = STDOUT if output is None else output
     chosen = palette_format(target, format)
     terminal.check_shows(chosen, output)
@@ -164,7 +167,7 @@ def command(
     if target == STDOUT:
         look = terminal.look(look)
     render = load(chosen)
-    specs = signals.load("hpcomp.imagehues").images_to_measure(layers, target)
+    specs = signals.load("hpcomp.analysis.hues").images_to_measure(layers, target)
     writing = {name: options.pop(name) for name in WRITING}
     with opened_report(target, [spec.path for spec in specs], **writing) as place:
         found = palettes.palette(colors, layers=layers, **options)

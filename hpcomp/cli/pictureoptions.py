@@ -9,7 +9,7 @@ from collections.abc import Callable
 
 import click
 
-from ..encoding import OUT_PRIMARIES
+from ..color.encoding import OUT_PRIMARIES
 from .options import F
 
 #: Each option by the name of its parameter.

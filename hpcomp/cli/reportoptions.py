@@ -7,9 +7,9 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 
 import click
 
-from ..depfile import Depfile
-from ..outputfile import STDOUT, check_places, whole_output
-from ..report.formats import ReportFormat
+from ..report.hueformats import ReportFormat
+from ..system.depfile import Depfile
+from ..system.outputs import STDOUT, check_places, whole_output
 from .options import F
 
 

@@ -6,8 +6,8 @@ import signal
 from importlib import import_module
 from types import FrameType, ModuleType
 
-from .. import heldsignals
-from ..heldsignals import held
+from ..system import signals as heldsignals
+from ..system.signals import held
 
 
 class Terminated(BaseException):

@@ -1,4 +1,4 @@
-"""`hpcomp stack`: parses, calls `pipeline.stack`, prints nothing of its own."""
+"""`hpcomp stack`: parses, calls `pipeline.stack.stack`, prints nothing of its own."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from typing import Any
 
 import click
 
-from ..porter_duff import OPERATORS
-from ..stackfile import LAYER_KEYS
+from ..blending.porter_duff import OPERATORS
+from ..layers.layerspec import LAYER_KEYS
 from .options import LayerCommand, at_a_time, make_options, message_options
 from .pictureoptions import picture_options
 from .signals import load
@@ -141,7 +141,7 @@ def command(
         return
     if any(_PATTERN_SIGN.search(path) for path in layers):
         load("hpcomp.jobs.frames").check_no_frames(layers)
-    pipeline = load("hpcomp.pipeline")
+    pipeline = load("hpcomp.pipeline.stack")
     if options["report"]:
         options["command"] = shlex.join(["hpcomp", *sys.argv[1:]])
     pipeline.stack(layers, output, **options)

@@ -9,11 +9,11 @@ from collections.abc import Callable
 
 import click
 
-from ..addition import BLENDINGS, DEFAULT_HUE_TOLERANCE
-from ..encoding import BOTTOM, WORKING_PRIMARIES
-from ..orders import ORDERS
-from ..porter_duff import OPERATOR_NAMES
-from ..spaces import SPACES
+from ..blending.addition import BLENDINGS, DEFAULT_HUE_TOLERANCE
+from ..blending.orders import ORDERS
+from ..blending.porter_duff import OPERATOR_NAMES
+from ..color.encoding import BOTTOM, WORKING_PRIMARIES
+from ..color.spaces import SPACES
 from .options import F
 
 #: What decides how layers become pixels: each option by the name of its parameter.

@@ -9,7 +9,7 @@ from dataclasses import replace
 from typing import TypeVar
 
 from ..errors import SettingError
-from ..report.formats import ReportFormat
+from ..report.hueformats import ReportFormat
 from ..report.look import Look
 
 L = TypeVar("L", bound=Look)

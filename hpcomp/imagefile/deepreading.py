@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..deepsamples import DeepSamples
-from ..encoding import Primaries, color_space
+from ..color.encoding import Primaries, color_space
+from ..color.samples import Decoding, decode
+from ..engine.deepsamples import DeepSamples
 from ..errors import InputError, MismatchError, unknown_name
 from ..geometry import Window
-from ..samples import Decoding, decode
 from .deepchunks import COMPRESSIONS, DeepChunks, DeepCounts, layout_of
 from .description import describe
 from .parts import ColorGroup, ImageFile, Part, choose, deep_alpha

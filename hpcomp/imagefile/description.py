@@ -6,8 +6,7 @@ import os
 from collections.abc import Iterator
 from typing import Any
 
-from .. import pngheader
-from ..encoding import (
+from ..color.encoding import (
     COLOR_INTEROP_IDS,
     LINEAR,
     LINEAR_REC709,
@@ -16,7 +15,7 @@ from ..encoding import (
 )
 from ..errors import InputError, why
 from ..geometry import Window
-from . import exrscanlines, pngscanlines
+from . import exrscanlines, pngheader, pngscanlines
 from .exrscanlines import ExrLayout
 from .parts import METRES_PER_INCH, Channel, ImageFile, Part, color_groups
 from .pngscanlines import PngLayout

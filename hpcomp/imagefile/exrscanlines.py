@@ -15,11 +15,11 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from ..encoding import REC709, Primaries, interop_id
+from ..color.encoding import REC709, Primaries, interop_id
+from ..color.samples import Samples
 from ..errors import InputError
 from ..geometry import Window
-from ..samples import Samples
-from ..sourcedate import EXR_DATE, source_date
+from ..system.sourcedate import EXR_DATE, source_date
 from .deflate import InflateError, deflated, inflated
 from .packing import UNPACKS, exr_packed, exr_plain, exr_unpacked
 from .rawfile import RawFile

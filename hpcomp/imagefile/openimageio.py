@@ -11,12 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from .. import exrheader
-from ..encoding import interop_id
+from ..color.encoding import interop_id
+from ..color.samples import Samples
 from ..errors import InputError, OutputError
-from ..heldsignals import held
-from ..samples import Samples
-from ..sourcedate import EXR_DATE, source_date
+from ..system.signals import held
+from ..system.sourcedate import EXR_DATE, source_date
+from . import exrheader
 from .exrscanlines import ExrForm
 from .parts import Channel, Part
 

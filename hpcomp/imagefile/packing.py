@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from ..samples import Samples
+from ..color.samples import Samples
 
 try:
     from ..kernel import _kernel  # type: ignore[attr-defined]

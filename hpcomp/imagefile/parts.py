@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from ..encoding import HDR_TRANSFERS, ColorEncoding
+from ..color.encoding import HDR_TRANSFERS, ColorEncoding
 from ..errors import InputError
 from ..geometry import Window
 from .exrscanlines import ExrLayout

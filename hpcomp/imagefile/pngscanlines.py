@@ -11,11 +11,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..color.samples import Samples
 from ..errors import InputError
-from ..pngheader import MOST_PIECES, PngHeader
-from ..samples import Samples
 from .deflate import InflateError, InflateStream
 from .packing import UNPACKS, png_unfiltered
+from .pngheader import MOST_PIECES, PngHeader
 from .rawfile import RawFile
 
 #: Channels of the colour types that are read here: grey, RGB, grey and alpha, RGBA.

@@ -11,13 +11,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .. import iccprofile
-from ..encoding import REC709, Primaries
-from ..pngheader import CICP_PRIMARIES, CICP_SRGB, SIGNATURE
-from ..samples import Samples
-from ..sourcedate import source_date
+from ..color.encoding import REC709, Primaries
+from ..color.samples import Samples
+from ..system.sourcedate import source_date
+from . import iccprofile
 from .deflate import LAST_BLOCK, adler32, crc32, deflated, deflated_segment, joined_adler32
 from .packing import Bytes, png_filtered, size_of_differences
+from .pngheader import CICP_PRIMARIES, CICP_SRGB, SIGNATURE
 from .segments import SegmentWriter
 
 _ROWS = 64

@@ -6,10 +6,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..encoding import Primaries, color_space, parse_hex_color
+from ..color.encoding import Primaries, color_space, parse_hex_color
+from ..color.samples import Decoding, Rgba, Samples, Strip, linear_rgba
 from ..errors import InputError, MismatchError, unknown_name
 from ..geometry import Window
-from ..samples import Decoding, Rgba, Samples, Strip, linear_rgba
 from .parts import ColorGroup, ImageFile, Part
 from .source import source_of
 

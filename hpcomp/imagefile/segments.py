@@ -11,8 +11,8 @@ from typing import BinaryIO, Generic, TypeVar
 
 import numpy as np
 
+from ..color.samples import Samples
 from ..errors import OutputError, why
-from ..samples import Samples
 
 S = TypeVar("S")
 

@@ -6,7 +6,7 @@ import contextlib
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Protocol
 
-from ..samples import Samples
+from ..color.samples import Samples
 from .exrscanlines import ExrLayout, ExrScanlines
 from .parts import Channel, ImageFile, Part
 from .pngscanlines import PngLayout, PngScanlines

@@ -6,10 +6,10 @@ import os
 from dataclasses import dataclass
 from typing import Any, Protocol
 
-from ..encoding import OUT_PRIMARIES, PRIMARIES, REC709, Primaries
+from ..color.encoding import OUT_PRIMARIES, PRIMARIES, REC709, Primaries
+from ..color.samples import Samples
 from ..errors import SettingError, unknown_name
 from ..geometry import Window
-from ..samples import Samples
 from . import exrscanlines, pngwriter
 from .exrscanlines import ExrForm
 from .parts import METRES_PER_INCH

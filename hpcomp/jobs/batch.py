@@ -13,11 +13,11 @@ from dataclasses import asdict, dataclass
 from graphlib import CycleError, TopologicalSorter
 from typing import Any, BinaryIO
 
-from ..budget import DEFAULT_MAX_MEMORY, parse_bytes
-from ..depfile import Depfile
 from ..errors import ExitCode, InputError, SettingError
-from ..imagefile import STDIN
-from ..outputfile import STDOUT, check_places, stdout_bytes, writing
+from ..imagefile.seekable import STDIN
+from ..pipeline.budget import DEFAULT_MAX_MEMORY, parse_bytes
+from ..system.depfile import Depfile
+from ..system.outputs import STDOUT, check_places, stdout_bytes, writing
 from .doing import maker
 from .jobfile import read_jobs
 from .processes import Crew, Processes, Result

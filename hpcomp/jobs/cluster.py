@@ -16,10 +16,10 @@ import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from ..engine import VARIABLE as ENGINE
+from ..engine.choice import VARIABLE as ENGINE
 from ..errors import ExitCode, HpcompWarning, InputError, OutputError, SettingError
-from ..outputfile import remove_leftovers
-from ..sourcedate import VARIABLE as SOURCE_DATE
+from ..system.outputs import remove_leftovers
+from ..system.sourcedate import VARIABLE as SOURCE_DATE
 from .doing import failure
 from .processes import PATIENCE_S, JobProcess, Result, Task, stop
 

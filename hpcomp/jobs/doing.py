@@ -18,9 +18,11 @@ import warnings
 from types import FrameType
 from typing import Any, BinaryIO
 
-from .. import __version__, engine, outputfile
+from ..engine import choice as engine
 from ..errors import ExitCode, HpcompError, HpcompWarning, MismatchError, one_line
-from ..pipeline import stack
+from ..pipeline.stack import stack
+from ..system import outputs as outputfile
+from ..version import __version__
 from .schema import Job, jobs_of
 from .state import Entry, current, entry_of, signature
 

@@ -9,8 +9,8 @@ from dataclasses import replace
 from typing import Any
 
 from ..errors import SettingError
-from ..placedstack import Layer, layer_specs
-from ..stackfile import LayerSpec
+from ..layers.layerspec import LayerSpec
+from ..layers.placing import Layer, layer_specs
 from .schema import Job, job_of_stack
 
 _RANGE = re.compile(r"(-?\d{1,9})(?:-(-?\d{1,9})(?:x(\d{1,9}))?)?", re.ASCII)

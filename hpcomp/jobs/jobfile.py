@@ -11,8 +11,8 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 from ..errors import InputError, SettingError, unknown_key, unknown_name, why
-from ..imagefile import STDIN
-from ..outputfile import whole_output, writing
+from ..imagefile.seekable import STDIN
+from ..system.outputs import whole_output, writing
 from .lines import Lines, json_keys, toml_keys
 from .schema import (
     SCHEMA_VERSION,

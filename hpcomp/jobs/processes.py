@@ -14,8 +14,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Protocol
 
 from ..errors import ExitCode, SettingError
-from ..outputfile import remove_leftovers
-from ..workers import thread_count
+from ..system.outputs import remove_leftovers
+from ..system.threads import thread_count
 from .doing import failure
 
 Task = Mapping[str, Any]

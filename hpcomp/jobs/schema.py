@@ -17,9 +17,9 @@ from typing import Any
 
 from ..errors import SettingError, unknown_key
 from ..geometry import Window
-from ..imagefile import STDIN
-from ..pipeline import stack
-from ..stackfile import LayerSpec, layer_spec
+from ..imagefile.seekable import STDIN
+from ..layers.layerspec import LayerSpec, layer_spec
+from ..pipeline.stack import stack
 
 #: The version of the schema that is read and written.
 SCHEMA_VERSION = 1

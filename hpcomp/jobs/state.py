@@ -16,10 +16,11 @@ import time
 from collections.abc import Iterable, Mapping, Sequence
 from typing import IO, Any
 
-from .. import __version__, engine
+from ..engine import choice as engine
 from ..errors import OutputError, SettingError
-from ..outputfile import remove_leftovers, writing
-from ..sourcedate import VARIABLE as SOURCE_DATE
+from ..system.outputs import remove_leftovers, writing
+from ..system.sourcedate import VARIABLE as SOURCE_DATE
+from ..version import __version__
 from .schema import Job
 
 #: A file that was changed so shortly before it was looked at may change again within the same tick

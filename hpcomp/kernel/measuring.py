@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..compositing import StackRules
-from ..encoding import Losses, Primaries
-from ..findings import MeasuredStrip, StackFindings
-from ..histogram import HueHistogram
-from ..measures import (
+from ..blending.rules import StackRules
+from ..color.encoding import Losses, Primaries
+from ..color.samples import Samples
+from ..measures.findings import MeasuredStrip, StackFindings
+from ..measures.histogram import HueHistogram
+from ..measures.labels import (
     Angle,
     ContributorMeasures,
     MeasureSettings,
@@ -17,8 +18,8 @@ from ..measures import (
     ResultMeasures,
     StackMeasures,
 )
-from ..samples import Samples
-from . import Accumulator, _kernel, chosen_level, layer_of, rules_of  # type: ignore[attr-defined]
+from . import _kernel  # type: ignore[attr-defined]
+from .fused import Accumulator, chosen_level, layer_of, rules_of
 
 #: The columns of the sums in `measure.h`.
 _RESULT_SUMS, _CONTRIBUTOR_SUMS, _HUE_COLUMNS = 7, 4, 8

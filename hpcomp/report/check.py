@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from ..checking import CheckResult, Verdict
+from ..analysis.check import CheckResult, Verdict
 from ..errors import printable
 
 #: Version of the data that `as_data` gives; it grows when a key changes its meaning or goes.

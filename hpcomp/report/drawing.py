@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import OutputError
-from ..sourcedate import source_date
+from ..system.sourcedate import source_date
 
 # What it has to say of its caches is not for those who ask for a figure.
 logging.getLogger("matplotlib").setLevel(logging.CRITICAL)

@@ -6,8 +6,8 @@ import math
 from collections.abc import Iterable, Sequence
 from typing import Any
 
+from ..analysis.explain import Meeting, Outcome, PixelExplanation, Rivalry
 from ..errors import printable
-from ..explanation import Meeting, Outcome, PixelExplanation, Rivalry
 
 #: Version of the data that `as_data` gives; it grows when a key changes its meaning or goes.
 SCHEMA_VERSION = 1

@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 from ..errors import printable
-from ..histogram import PEAK_RADIUS_DEG, HueHistogram
+from ..measures.histogram import PEAK_RADIUS_DEG, HueHistogram
 from .look import Entry, Look, common_axis, srgb_hex
 
 SCHEMA = "hpcomp.hues"

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..encoding import encode_srgb, into_gamut
+from ..color.encoding import encode_srgb, into_gamut
+from ..color.hueaxis import HueAxis
 from ..errors import MismatchError, unknown_name
-from ..histogram import WEIGHTS, Floats, HueHistogram
-from ..hueaxis import HueAxis
+from ..measures.histogram import WEIGHTS, Floats, HueHistogram
 
 #: A picture in a report: what it is called, and its histogram.
 Entry = tuple[str, HueHistogram]

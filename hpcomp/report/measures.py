@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from ..errors import printable
-from ..measures import ENERGY_WEIGHTS, ContributorMeasures, ResultMeasures, StackMeasures
+from ..measures.labels import ENERGY_WEIGHTS, ContributorMeasures, ResultMeasures, StackMeasures
 
 #: Version of the data that `as_data` gives; it grows when a key changes its meaning or goes.
 SCHEMA_VERSION = 1

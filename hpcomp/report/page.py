@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
-from .. import __version__
+from ..version import __version__
 from .markup import Content, Markup, element, isolated
 
 

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..histogram import PEAK_RADIUS_DEG, HueHistogram, Peak
-from ..hueaxis import HueAxis
+from ..color.hueaxis import HueAxis
+from ..measures.histogram import PEAK_RADIUS_DEG, HueHistogram, Peak
+from .huetext import concentration_sentence, pixels_sentence
 from .look import (
     SCALES,
     WEIGHT_TITLES,
@@ -22,7 +23,6 @@ from .look import (
     ticks,
 )
 from .markup import Markup, element, joined, number
-from .text import concentration_sentence, pixels_sentence
 
 
 @dataclass(frozen=True)

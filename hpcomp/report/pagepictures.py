@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ..errors import OutputError, why
 from ..geometry import Window
-from ..imagefile import OutputForm, open_writer
+from ..imagefile.writing import OutputForm, open_writer
 
 #: Pixels of a screen that a picture may fill. A small one grows up to them: by whole numbers where
 #: that doubles it at least, its pixels then kept square.

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from ..analysis.palette import TRADITIONAL, Finding, Floats, Pair, Palette, Profile
 from ..errors import printable
-from ..palettes import TRADITIONAL, Finding, Floats, Pair, Palette, Profile
 from .look import Look, srgb_hex
 
 SCHEMA = "hpcomp.palette"

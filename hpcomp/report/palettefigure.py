@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..encoding import encode_srgb, into_gamut
+from ..analysis.palette import Floats, Label, Pair, Palette, Profile
+from ..color.encoding import encode_srgb, into_gamut
 from ..errors import SettingError, printable
-from ..palettes import Floats, Label, Pair, Palette, Profile
 from .drawing import INK, SMALL, TITLE, Circle, PolyCollection, Sheet, saved
 from .look import hue_colors, srgb_hex
 from .palettedata import ALL, hex_colors, rules_data, rules_sentence, shown

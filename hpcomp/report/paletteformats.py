@@ -7,10 +7,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+from ..analysis.palette import Palette
 from ..errors import unknown_name
-from ..outputfile import whole_output
-from ..palettes import Palette
-from .formats import ReportFormat, put, report_format
+from ..system.outputs import whole_output
+from .hueformats import ReportFormat, put, report_format
 from .look import Look
 
 #: The parts of a figure, one of which can be drawn alone.

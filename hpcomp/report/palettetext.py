@@ -7,12 +7,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ..analysis.palette import Palette, Profile
 from ..errors import printable
-from ..palettes import Palette, Profile
+from .huetext import PLAIN, colored, encoded
 from .look import hue_colors, srgb_hex
 from .palettedata import ALL, hex_colors, rules_data, rules_sentence, sentence
 from .paletteformats import PaletteLook
-from .text import PLAIN, colored, encoded
 
 #: Letters of a name in a table.
 _LONGEST_NAME = 16

@@ -6,8 +6,9 @@ import json
 from typing import Any
 
 from ..errors import printable
-from ..histogram import PEAK_RADIUS_DEG
-from . import huedata, measures, text
+from ..measures.histogram import PEAK_RADIUS_DEG
+from . import huedata, measures
+from . import huetext as text
 from .look import Look, common_axis
 from .stackreport import StackReport
 

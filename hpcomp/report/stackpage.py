@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..histogram import HueHistogram
-from ..measures import ContributorMeasures, share
+from ..measures.histogram import HueHistogram
+from ..measures.labels import ContributorMeasures, share
 from .look import Look, percent, srgb_hex
 from .markup import Content, Markup, element, escaped, isolated, joined
 from .page import Section, page

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import MismatchError, unknown_name
-from ..findings import StackFindings
+from ..measures.findings import StackFindings
 from .look import Entry
 
 #: The longest side of a preview: enough to see labels, and a page that can be sent by mail.
@@ -93,9 +93,9 @@ _RENDERERS: dict[str, _Renderer] = {
     "text": _Renderer(".stackdata", "as_text"),
     "json": _Renderer(".stackdata", "as_json"),
     "csv": _Renderer(".stackdata", "as_csv"),
-    "svg": _Renderer(".figure", "stack_as_svg"),
-    "png": _Renderer(".figure", "stack_as_png"),
-    "pdf": _Renderer(".figure", "stack_as_pdf"),
+    "svg": _Renderer(".huefigure", "stack_as_svg"),
+    "png": _Renderer(".huefigure", "stack_as_png"),
+    "pdf": _Renderer(".huefigure", "stack_as_pdf"),
     "html": _Renderer(".stackpage", "as_html", pictures=True),
 }
 

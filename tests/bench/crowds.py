@@ -14,10 +14,10 @@ from collections.abc import Callable
 
 import numpy as np
 
-from hpcomp import kernel
-from hpcomp.compositing import StackRules, stack_rules
-from hpcomp.encoding import Losses
-from hpcomp.samples import Strip
+from hpcomp.blending.rules import StackRules, stack_rules
+from hpcomp.color.encoding import Losses
+from hpcomp.color.samples import Strip
+from hpcomp.kernel import fused as kernel
 
 TERMS = (16, 32, 33, 64, 128, 512, 2048, 5000)
 RUNS = 5

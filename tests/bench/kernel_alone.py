@@ -16,11 +16,11 @@ from typing import Any
 
 from drawing import layer
 
-from hpcomp import kernel
-from hpcomp.compositing import StackRules, stack_rules
-from hpcomp.encoding import Losses
-from hpcomp.samples import Strip
-from hpcomp.spaces import SPACES
+from hpcomp.blending.rules import StackRules, stack_rules
+from hpcomp.color.encoding import Losses
+from hpcomp.color.samples import Strip
+from hpcomp.color.spaces import SPACES
+from hpcomp.kernel import fused as kernel
 
 WIDTH, HEIGHT, STRIP_ROWS = 3840, 2160, 64
 

@@ -1,0 +1,630 @@
+"""A picture against the layers that it was made from, or against a list of hues. Prints nothing.
+
+It measures what a file holds, strip by strip, and allows for how its samples are quantised: where a
+hue fits nothing, the tolerance widens by what half a code value of each channel can turn it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import os
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+from pathlib import PurePath
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..blending.addition import DEFAULT_HUE_TOLERANCE
+from ..blending.rules import StackRules, stack_rules
+from ..color.samples import Decoding, Rgba, Samples, Strip, cropped, decode, linear_rgba, spread
+from ..color.spaces import Space
+from ..errors import MismatchError, SettingError, unknown_name
+from ..geometry import Window
+from ..imagefile.reading import NONFINITE_POLICIES, LayerReader
+from ..imagefile.seekable import STDIN
+from ..layers.layerspec import LayerSpec, layer_spec
+from ..layers.notices import Notices, warn_of_problems, warn_of_zeroed
+from ..layers.opening import opened_layer
+from ..layers.placing import Layer, PlacedLayer, layer_specs, opened_stack, rules_of
+from ..measures.histogram import DEFAULT_ACHROMATIC
+from ..measures.labels import (
+    BLOCK_PIXELS,
+    HALF_STEP_8_BIT,
+    HALF_STEP_FINE,
+    LARGEST_MEASURED,
+    Angle,
+    Contributors,
+    MeasureSettings,
+    Sums,
+    Support,
+    contributors,
+    count,
+    in_units,
+    is_saturated,
+    length,
+    measure_settings,
+    share,
+    summed,
+)
+
+Array = NDArray[np.float32]
+Mask = NDArray[np.bool_]
+
+#: A label is visible that is seen in this share of where it could be: not one stray pixel.
+DEFAULT_VISIBLE = 0.001
+
+#: A pixel that its file leaves uncertain by more degrees than this shows no label: half of what
+#: lies between two neighbours of the six pure hues.
+UNCERTAIN_HUE = 30.0
+
+#: Pixels of all layers together that are in memory at a time, unless one block of a file is more.
+STRIP_PIXELS = 1 << 20
+
+
+@dataclass(frozen=True)
+class Label:
+    """A hue that may be asked for: that of layer `number`, or `hue` in degrees; `text` names it."""
+
+    text: str
+    number: int | None
+    hue: float | None
+
+
+@dataclass(frozen=True)
+class LabelSums(Sums):
+    """`pixels` in which a label could be seen, and `shown`: those in which its hue is.
+
+    A layer could be seen where it contributes, a hue in every chromatic pixel.
+    """
+
+    pixels: int = 0
+    shown: int = 0
+
+    @property
+    def share(self) -> float:
+        return share(self.shown, self.pixels)
+
+
+@dataclass(frozen=True)
+class CheckSums(Sums):
+    """What was counted; chroma in `measures.SUM_UNIT`.
+
+    `pixels`: all of the picture; `unmeasured`: with NaN or the like, left out of the rest;
+    `visible`: with alpha or light; `chromatic` and `foreign` of these. `chroma_in`: Σ|t| of the
+    layers, and `chroma_out` what of it the picture has. `labels`: one for each.
+    """
+
+    labels: tuple[LabelSums, ...]
+    pixels: int = 0
+    unmeasured: int = 0
+    visible: int = 0
+    chromatic: int = 0
+    chroma: int = 0
+    foreign: int = 0
+    foreign_chroma: int = 0
+    chroma_in: int = 0
+    chroma_out: int = 0
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """How one rule ended: what it asks, what was `measured`, its `limit`, and whether it holds."""
+
+    rule: str
+    label: str | None
+    measured: float
+    limit: float
+    passed: bool
+
+
+@dataclass(frozen=True)
+class CheckResult:
+    """What `check` found: the measures of a picture, and how each rule ended.
+
+    `against`: `layers` or `hues`. `labels`: the layers, or the hues, and those that were required.
+    """
+
+    image: str
+    against: str
+    settings: MeasureSettings
+    labels: tuple[Label, ...]
+    sums: CheckSums
+    verdicts: tuple[Verdict, ...] = ()
+
+    @property
+    def passed(self) -> bool:
+        """Whether every rule holds."""
+        return all(verdict.passed for verdict in self.verdicts)
+
+    @property
+    def foreign_share(self) -> float:
+        """The share of chromatic pixels whose hue is nobody's."""
+        return share(self.sums.foreign, self.sums.chromatic)
+
+    @property
+    def foreign_chroma_share(self) -> float:
+        """The same, each pixel weighted by its chroma."""
+        return share(self.sums.foreign_chroma, self.sums.chroma)
+
+    @property
+    def grey_share(self) -> float:
+        """Against layers, the share of their chroma that the picture lacks; else of grey pixels.
+
+        Grey pixels are those with alpha or light and too little saturation for a hue.
+        """
+        if self.against == "layers":
+            return share(self.sums.chroma_in - self.sums.chroma_out, self.sums.chroma_in)
+        return share(self.sums.visible - self.sums.chromatic, self.sums.visible)
+
+
+# --- settings -------------------------------------------------------------------------------------
+
+
+def parse_share(text: str | float) -> float:
+    """A share in [0, 1] from `0.01`, `1%` or a number; `SettingError` otherwise."""
+    try:
+        number = str(text).strip()
+        value = float(number[:-1]) / 100 if number.endswith("%") else float(number)
+    except ValueError:
+        value = math.nan
+    if not 0 <= value <= 1:
+        raise SettingError(f"'{text}' is not a share: write 0.01 or 1%, from 0 to 100%")
+    return value
+
+
+def parse_hues(hues: str | Sequence[float]) -> tuple[float, ...]:
+    """Hues in degrees from `0,120,240` or numbers; `SettingError` otherwise."""
+    try:
+        found = tuple(float(h) for h in (hues.split(",") if isinstance(hues, str) else hues))
+    except ValueError:
+        found = ()
+    if not found or not all(map(math.isfinite, found)):
+        raise SettingError(f"hues '{hues}' are not numbers: write degrees such as 0,120,240")
+    return found
+
+
+def _label(wanted: str | float, specs: Sequence[LayerSpec]) -> Label:
+    """A label from degrees, or from `layer:` and a number or a name."""
+    text = str(wanted)
+    if text.startswith("layer:"):
+        return _layer_label(text.removeprefix("layer:"), specs)
+    try:
+        hue = float(text)
+    except ValueError:
+        hue = math.nan
+    if not math.isfinite(hue):
+        raise SettingError(
+            f"'{text}' is no label: write a hue in degrees such as 120, or layer:1 or layer:NAME"
+        )
+    return Label(f"hue {hue:g}", None, hue)
+
+
+def _layer_label(wanted: str, specs: Sequence[LayerSpec]) -> Label:
+    named = [n for n, spec in enumerate(specs) if wanted == spec.name]
+    named = named or [n for n, spec in enumerate(specs) if wanted == str(n)]
+    named = named or [n for n, spec in enumerate(specs) if wanted == PurePath(spec.path).stem]
+    if len(named) != 1:
+        there_is = ", ".join(spec.label(n) for n, spec in enumerate(specs)) or "none: name LAYERs"
+        problem = "is not one of the layers" if not named else "fits several layers"
+        raise SettingError(f"label 'layer:{wanted}' {problem}: there is {there_is}")
+    return Label(specs[named[0]].label(named[0]), named[0], None)
+
+
+#: The options that place and weigh layers, which a list of hues has none of.
+_OF_LAYERS: dict[str, Any] = {
+    "op": "over",
+    "exposure": 0.0,
+    "canvas": "bottom",
+    "background": None,
+}
+
+
+def check(
+    image: Layer,
+    layers: Sequence[Layer] = (),
+    *,
+    hues: str | Sequence[float] | None = None,
+    max_foreign: str | float | None = None,
+    max_grey: str | float | None = None,
+    require_hue: Sequence[str | float] = (),
+    visible: str | float = DEFAULT_VISIBLE,
+    foreign_tolerance: float | None = None,
+    achromatic: float = DEFAULT_ACHROMATIC,
+    op: str = "over",
+    space: str = "linear-rgb",
+    primaries: str = "rec709",
+    hue_tolerance: float = DEFAULT_HUE_TOLERANCE,
+    exposure: float = 0.0,
+    canvas: str | Window = "bottom",
+    background: str | Sequence[float] | None = None,
+    nonfinite: str = "error",
+    strict: bool = False,
+) -> CheckResult:
+    """Measures the hues of a picture against the layers that it was made from, or against hues.
+
+    `image`: a file, or a LAYER string without `op` and `opacity`. `layers`: as in `stack`, whose
+    options mean the same; or instead `hues`, degrees on the axis of `space`, in most spaces that of
+    HSL of the linear colour. At least one rule:
+    `max_foreign`, `max_grey`: shares in [0, 1] or as `1%` that may not be exceeded;
+    `require_hue`: labels that must be seen, degrees or `layer:1` or `layer:NAME`, each in the share
+    `visible` of where it could be.
+    `foreign_tolerance`: degrees between p vectors, twice the hue tolerance if not given, and
+    the space's `gamut_turn` more.
+    Returns: a `CheckResult`, whose `passed` tells how it ended.
+    Errors: `SettingError`, also where no rule is given; `InputError`, `MismatchError`.
+    Warnings: `HpcompWarning`; errors with `strict`.
+    """
+    specs = layer_specs(layers)
+    picture = _picture_spec(image)
+    limits = {
+        name: None if limit is None else parse_share(limit)
+        for name, limit in (("max-foreign", max_foreign), ("max-grey", max_grey))
+    }
+    least = parse_share(visible)
+    required = [_label(label, specs) for label in require_hue]
+    if not required and all(limit is None for limit in limits.values()):
+        raise SettingError(
+            "a check without a rule would pass anything: give --max-foreign, --max-grey or "
+            "--require-hue"
+        )
+    if bool(specs) == (hues is not None):
+        raise SettingError("give either the LAYERs that the picture was made from, or --hues")
+    if [spec.path for spec in (picture, *specs)].count(STDIN) > 1:
+        raise SettingError("stdin can be only one of the files")
+    if nonfinite not in NONFINITE_POLICIES:
+        raise unknown_name("nonfinite policy", nonfinite, NONFINITE_POLICIES)
+    notices = Notices(strict)
+    if hues is None:
+        rules = rules_of(
+            specs,
+            op,
+            "hue-preserving",
+            "bottom-up",
+            space,
+            hue_tolerance,
+            background,
+            exposure,
+            primaries,
+        )
+        labels = [Label(spec.label(n), n, None) for n, spec in enumerate(specs)]
+        listed: list[Array] = []
+    else:
+        given = {"op": op, "exposure": exposure, "canvas": canvas, "background": background}
+        for name, value in given.items():
+            if value != _OF_LAYERS[name]:
+                raise SettingError(f"--{name} is about layers: a check against --hues has none")
+        rules = stack_rules(1, space=space, hue_tolerance=hue_tolerance, primaries=primaries)
+        degrees = parse_hues(hues)
+        labels = [Label(f"hue {hue:g}", None, hue) for hue in degrees]
+        listed = [vector_of(hue, rules.space) for hue in degrees]
+    labels += [label for label in required if label not in labels]
+    settings = measure_settings(rules, achromatic=achromatic, foreign_tolerance=foreign_tolerance)
+    with contextlib.ExitStack() as opened:
+        # The layers first: where they do not fit together, the picture does not matter.
+        stack = None
+        if specs:
+            stack = opened.enter_context(
+                opened_stack(
+                    specs,
+                    rules,
+                    primaries=primaries,
+                    canvas=canvas,
+                    nonfinite=nonfinite,
+                    notices=notices,
+                )
+            )
+            rules = stack.rules
+        name = f"picture ({'stdin' if picture.path == STDIN else picture.path})"
+        reader = opened.enter_context(opened_layer(picture, name, nonfinite))
+        reader.work_in(rules.primaries)
+        warn_of_problems(reader, notices)
+        placed = _placed_picture(reader, picture, None if stack is None else stack.canvas)
+        gauge = _Gauge(rules, settings, labels, listed)
+        below = () if stack is None else stack.layers
+        sums = gauge.none
+        for block in _blocks(placed, below):
+            sums += gauge.measured(*block)
+        warn_of_zeroed([placed.reader, *(layer.reader for layer in below)], notices)
+    result = CheckResult(
+        os.fspath(picture.path),
+        "hues" if stack is None else "layers",
+        settings,
+        tuple(labels),
+        sums,
+    )
+    return replace(result, verdicts=tuple(_verdicts(result, limits, required, least)))
+
+
+def _picture_spec(image: Layer) -> LayerSpec:
+    spec = layer_spec(image)
+    if spec.op is not None or spec.opacity != 1:
+        raise SettingError(f"'{spec.path}' is the picture to check: op and opacity are of layers")
+    return spec
+
+
+def _verdicts(
+    result: CheckResult,
+    limits: dict[str, float | None],
+    required: Sequence[Label],
+    least: float,
+) -> Iterator[Verdict]:
+    measured = {"max-foreign": result.foreign_share, "max-grey": result.grey_share}
+    for rule, limit in limits.items():
+        if limit is not None:
+            yield Verdict(rule, None, measured[rule], limit, measured[rule] <= limit)
+    for label in required:
+        seen = result.sums.labels[result.labels.index(label)]
+        passed = seen.shown > 0 and seen.share >= least
+        yield Verdict("require-hue", label.text, seen.share, least, passed)
+
+
+# --- pixels ---------------------------------------------------------------------------------------
+
+
+def _placed_picture(reader: LayerReader, spec: LayerSpec, canvas: Window | None) -> PlacedLayer:
+    """The picture where it lies on the canvas of its layers. Errors: `MismatchError`."""
+    display = reader.part.display_window
+    if canvas is None:
+        return PlacedLayer(reader, 0, 0)
+    if spec.placement is not None:
+        place = spec.placement.place(display, canvas)
+    elif display == canvas:
+        place = display
+    elif reader.file.format == "png" and (display.width, display.height) == (
+        canvas.width,
+        canvas.height,
+    ):
+        place = canvas  # a PNG does not say where it lies
+    else:
+        raise MismatchError(
+            f"{reader.label} is {display} but the canvas of its layers is {canvas}: place it with "
+            "at=+X+Y, or choose --canvas"
+        )
+    return PlacedLayer(reader, place.x - display.x, place.y - display.y)
+
+
+def _blocks(
+    picture: PlacedLayer, layers: Sequence[PlacedLayer]
+) -> Iterator[tuple[Samples, Decoding, list[Rgba]]]:
+    """The picture's pixels (n, channels) as stored, and those of the layers (n, 4), in blocks."""
+    window = picture.window
+    at_once = max(layer.reader.rows_at_once for layer in (picture, *layers))
+    wanted = STRIP_PIXELS // (window.width * (len(layers) + 1))
+    rows = max(min(at_once, window.height), wanted - wanted % at_once)
+    for begin in range(window.y, window.bottom, rows):
+        strip = Window(window.x, begin, window.width, min(rows, window.bottom - begin))
+        stored = picture.read(strip)
+        _, broken = linear_rgba(stored)
+        picture.reader.note_nonfinite(begin - picture.dy, broken)
+        samples = stored.samples.reshape(-1, stored.samples.shape[2])
+        colors = [_colors(layer, strip) for layer in layers]
+        for first in range(0, len(samples), BLOCK_PIXELS):
+            block = slice(first, first + BLOCK_PIXELS)
+            yield samples[block], stored.decoding, [color[block] for color in colors]
+
+
+def _colors(layer: PlacedLayer, rows: Window) -> Rgba:
+    """(pixels, 4): a layer's pixels in `rows` of the canvas, transparent where it has none."""
+    strip = cropped(layer.read(rows), rows.width, rows.height)
+    rgba, broken = linear_rgba(strip)
+    layer.reader.note_nonfinite(max(rows.y, layer.window.y) - layer.dy, broken)
+    return spread(rgba, strip.left, strip.top, rows.width, rows.height)
+
+
+def quantization(samples: Samples, decoding: Decoding, space: Space) -> Array:
+    """How far half a code value of each colour channel can move p: the most of the 8 corners.
+
+    `samples`: (n, channels) as stored: code values, half-floats (half a unit in the last place),
+    floats. Returns (n), in the units of p.
+    """
+    n, channels = samples.shape
+    colors = 1 if channels <= 2 else 3
+    if samples.dtype.kind == "u":
+        stored = samples / np.iinfo(samples.dtype).max
+        half = np.full((n, colors), 0.5 / np.iinfo(samples.dtype).max)
+    else:
+        stored = samples.astype(np.float64)
+        half = np.zeros((n, colors))
+        if samples.dtype == np.float16:
+            half = np.spacing(np.abs(samples[:, :colors])).astype(np.float64) / 2
+
+    def p_of(values: NDArray[np.float64]) -> tuple[Array, Array]:
+        rgb = decode(values[None], decoding)[0].T[:3]
+        return space.forward(rgb)[1], rgb
+
+    center, rgb = p_of(stored)
+    # What float32 itself leaves uncertain, where the corners are that near.
+    farthest = 4 * np.finfo(np.float32).eps * np.abs(rgb).max(axis=0)
+    reach = farthest.copy()
+    if half.any():
+        for corner in product((-1, 1), repeat=colors):
+            moved = stored.copy()
+            moved[:, :colors] += half * corner
+            away = p_of(moved)[0] - center
+            reach = np.maximum(reach, farthest + length(away[0], away[1]))
+    return reach
+
+
+@dataclass(frozen=True)
+class _Picture:
+    """Some pixels of the picture: as stored, and their straight alpha, p, |p| and what they are.
+
+    `stored`: (n, channels). `alpha`, `size`: (n). `p`: (2, n). `visible`: with alpha or light.
+    """
+
+    stored: Samples
+    alpha: Array
+    p: Array
+    size: Array
+    visible: Mask
+    chromatic: Mask
+
+    def chosen(self, pixels: Mask | NDArray[np.intp]) -> _Picture:
+        """Only those pixels."""
+        return _Picture(
+            self.stored[pixels],
+            self.alpha[pixels],
+            self.p[:, pixels],
+            self.size[pixels],
+            self.visible[pixels],
+            self.chromatic[pixels],
+        )
+
+
+@dataclass(frozen=True)
+class _Gauge:
+    """Measures blocks of pixels; `none` is the measure of no pixel.
+
+    `hues`: the listed ones, (2, 1) each, where there are no layers.
+    """
+
+    rules: StackRules
+    settings: MeasureSettings
+    labels: Sequence[Label]
+    hues: Sequence[Array]
+
+    @property
+    def none(self) -> CheckSums:
+        return CheckSums((LabelSums(),) * len(self.labels))
+
+    def measured(self, samples: Samples, decoding: Decoding, layers: Sequence[Rgba]) -> CheckSums:
+        """`samples`: (n, channels) of the picture, as stored. `layers`: (n, 4) each, or none."""
+        step = HALF_STEP_8_BIT if samples.dtype == np.uint8 else HALF_STEP_FINE
+        settings = replace(self.settings, half_step=step)
+        with np.errstate(all="ignore"):  # what is not finite is left out
+            rgba = linear_rgba(Strip(samples[None], decoding))[0][0]
+            known = (np.abs(rgba) < LARGEST_MEASURED).all(axis=1)
+            if self.hues:
+                terms = self._hue_terms(known)
+            else:
+                # Where the picture is not finite, the layers do not count either.
+                terms = self._exposed(
+                    contributors(
+                        self.rules, [np.where(known[:, None], layer, np.nan) for layer in layers]
+                    )
+                )
+            picture = self._picture(samples, rgba, settings).chosen(terms.known)
+        return replace(
+            self._sums(picture, decoding, terms, settings),
+            pixels=len(samples),
+            unmeasured=count(~terms.known),
+        )
+
+    def _picture(self, samples: Samples, rgba: Rgba, settings: MeasureSettings) -> _Picture:
+        rgb = np.ascontiguousarray(rgba.T[:3])
+        _, p = self.rules.space.forward(rgb)
+        size = length(p[0], p[1])
+        chromatic = (size > settings.half_step) & is_saturated(rgb, settings.achromatic)
+        visible = np.asarray(rgba.any(axis=1))
+        return _Picture(samples, rgba[:, 3], p, size, visible, chromatic)
+
+    def _hue_terms(self, known: Mask) -> Contributors:
+        """The listed hues as if each were a layer of full chroma, everywhere."""
+        n_pixels = count(known)
+        p = np.array([np.broadcast_to(hue, (2, n_pixels)) for hue in self.hues])
+        ones = np.ones((len(self.hues), n_pixels), np.float32)
+        return Contributors(len(self.hues), ones, p, ones, known, np.ones_like(known, np.float32))
+
+    def _exposed(self, terms: Contributors) -> Contributors:
+        """The terms as bright as the exposure made them in the picture."""
+        gain = np.float32(2.0**self.rules.exposure)
+        return replace(terms, p=terms.p * gain, size=terms.size * gain)
+
+    def _sums(
+        self,
+        picture: _Picture,
+        decoding: Decoding,
+        terms: Contributors,
+        settings: MeasureSettings,
+    ) -> CheckSums:
+        support = Support.of(picture.p, terms, settings)
+        homeless = np.flatnonzero(picture.chromatic & ~support.has_hue)
+        fit = _Fit.of(picture.chosen(homeless), homeless, decoding, self.rules, settings)
+        foreign = np.zeros(len(picture.size), np.bool_)
+        near = np.array([fit.widened.holds(fit.p, term[:, homeless]) for term in terms.p])
+        backing = summed(np.where(near, terms.size[:, homeless], np.float32(0)))
+        foreign[homeless] = fit.certain & ~(backing > settings.half_step)
+        total = terms.total()
+        of_layers = not self.hues
+        return CheckSums(
+            tuple(self._label_sums(label, picture, terms, fit) for label in self.labels),
+            visible=count(picture.visible),
+            chromatic=count(picture.chromatic),
+            chroma=in_units(picture.size[picture.chromatic]),
+            foreign=count(foreign),
+            foreign_chroma=in_units(picture.size[foreign]),
+            chroma_in=in_units(total) if of_layers else 0,
+            chroma_out=in_units(np.minimum(picture.size, total)) if of_layers else 0,
+        )
+
+    def _label_sums(
+        self, label: Label, picture: _Picture, terms: Contributors, fit: _Fit
+    ) -> LabelSums:
+        if label.number is None:
+            assert label.hue is not None
+            p = np.broadcast_to(vector_of(label.hue, self.rules.space), picture.p.shape)
+            could = picture.chromatic
+        else:
+            p = terms.p[label.number]
+            could = terms.size[label.number] > fit.half_step
+        return LabelSums(count(could), count(could & picture.chromatic & fit.shows(picture, p)))
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """How near a hue has to be: within `base`, and where no hue is, in the `homeless`, `widened`.
+
+    `p` (2, homeless). `certain`: whether they have chroma whatever was rounded. `sharp`: whether
+    their hue is certain enough to show a label.
+    """
+
+    half_step: float
+    base: Angle
+    homeless: NDArray[np.intp]
+    p: Array
+    widened: Angle
+    certain: Mask
+    sharp: Mask
+
+    @staticmethod
+    def of(
+        pixels: _Picture,
+        homeless: NDArray[np.intp],
+        decoding: Decoding,
+        rules: StackRules,
+        settings: MeasureSettings,
+    ) -> _Fit:
+        """`pixels`: the homeless ones."""
+        reach = quantization(pixels.stored, decoding, rules.space)
+        turn = np.degrees(np.arcsin(np.minimum(1, reach / pixels.size)))
+        tolerance = settings.foreign_tolerance
+        # The alpha that a straight colour is multiplied by is rounded as well: that scales p.
+        least = np.ones_like(pixels.alpha)
+        if pixels.stored.dtype.kind == "u" and pixels.stored.shape[1] % 2 == 0:
+            half_code = 0.5 / np.iinfo(pixels.stored.dtype).max
+            least = np.maximum(0, 1 - half_code / np.maximum(pixels.alpha, half_code))
+        return _Fit(
+            settings.half_step,
+            Angle.of(tolerance),
+            homeless,
+            pixels.p,
+            Angle.of(np.minimum(180, tolerance + turn)),
+            (pixels.size - reach) * least > settings.half_step,
+            turn <= UNCERTAIN_HUE,
+        )
+
+    def shows(self, picture: _Picture, p: Array) -> Mask:
+        """Where the picture's hue is that of p (2, n)."""
+        found = self.base.holds(picture.p, p)
+        found[self.homeless] = self.widened.holds(self.p, p[:, self.homeless]) & self.sharp
+        return found
+
+
+def vector_of(hue: float, space: Space) -> Array:
+    """(2, 1): a p of that hue, in degrees on the space's axis."""
+    rgb = space.hue_axis.color(np.array([hue])).astype(np.float32)
+    return space.forward(rgb)[1]

@@ -1,0 +1,476 @@
+"""One pixel of a stack, step by step: what went in, who met whom, what came out. Prints nothing."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..blending.addition import BLENDINGS, DEFAULT_HUE_TOLERANCE, chroma, rivalry, shoulder
+from ..blending.rules import StackRules
+from ..blending.terms import weighted
+from ..color.encoding import Losses
+from ..color.samples import OUTPUT_TYPES, Rgba, Strip, cropped, linear_rgba, spread
+from ..engine import choice as engine
+from ..errors import MismatchError, SettingError
+from ..geometry import FARTHEST, Window
+from ..layers.canvas import output_window
+from ..layers.layerspec import LayerSpec
+from ..layers.notices import Notices, warn_of_zeroed
+from ..layers.placing import Layer, PlacedLayer, layer_specs, opened_stack, rules_of
+from ..measures.histogram import DEFAULT_ACHROMATIC
+from ..measures.labels import (
+    HALF_STEP_FINE,
+    MeasureSettings,
+    Support,
+    contributors,
+    measure_settings,
+    measured,
+)
+
+Array = NDArray[np.floating[Any]]
+
+#: The name of a sample's type, as `--depth` and `info` have it.
+_TYPE_NAMES = {np.dtype(kind): name for name, kind in OUTPUT_TYPES.items()}
+
+#: What becomes of the hues of a pixel: `layer` and `background` say whose hue it has, `foreign`
+#: that it is nobody's, `grey` that they cancel, `colorless` that there was none, `unmeasured` that
+#: there are numbers without a hue, NaN for one.
+OUTCOMES = ("layer", "background", "foreign", "grey", "colorless", "unmeasured")
+
+
+@dataclass(frozen=True)
+class LayerStep:
+    """What one layer brings to the pixel.
+
+    `stored`: the samples of the file, of type `stored_type`; None where the layer has no pixel.
+    `rgba`: linear, premultiplied, before its opacity. `weight`: what the operators leave of it.
+    `hue`: degrees on the axis of the space, None for a grey. `chroma`: |p| of `rgba`;
+    `weighted_chroma`: that times opacity and weight, which is what takes part in the blending.
+    """
+
+    number: int
+    label: str
+    stored: tuple[float, ...] | None
+    stored_type: str
+    rgba: tuple[float, ...]
+    opacity: float
+    operator: str | None
+    weight: float
+    hue: float | None
+    chroma: float
+    weighted_chroma: float
+
+
+@dataclass(frozen=True)
+class BackgroundStep:
+    """What the background brings: straight linear `rgb`, the rest as of a layer."""
+
+    rgb: tuple[float, ...]
+    weight: float
+    hue: float | None
+    chroma: float
+    weighted_chroma: float
+
+
+@dataclass(frozen=True)
+class Meeting:
+    """Two colours that were added: those of the layers `first`, and of `second`, numbers each.
+
+    The background is None among them. `chroma_first`, `chroma_second`: |p| before. `angle`:
+    degrees between them, None where one has no hue. `equality`: e of the shoulder, 1 for equal
+    hues and 0 for different ones, None where hues are not looked at. `dominant`: 1 or 2, None
+    where neither is or their hues are equal; with `foremost` the one in front. `chroma`, `hue`: of
+    what comes of it.
+    """
+
+    first: tuple[int | None, ...]
+    second: tuple[int | None, ...]
+    chroma_first: float
+    chroma_second: float
+    angle: float | None
+    equality: float | None
+    dominant: int | None
+    chroma: float
+    hue: float | None
+
+
+@dataclass(frozen=True)
+class Rivalry:
+    """What is left of a layer among all others at once: `share` of it, because of `rival`.
+
+    `angle`: degrees to the strongest rival; None, as `rival`, where the layer meets none.
+    """
+
+    number: int
+    share: float
+    rival: int | None
+    angle: float | None
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came of the pixel, and of the hues that went in.
+
+    `rgba`: linear, premultiplied, with the exposure, as a float file would hold it. `srgb`: the
+    codes of an 8-bit PNG, straight, with alpha. `hue`, `chroma`: before the exposure. `kind`: one
+    of `OUTCOMES`. `survivor`: the number of the layer whose hue it is. `grey`, `margin`: as in
+    `measures.Provenance`.
+    """
+
+    rgba: tuple[float, ...]
+    srgb: tuple[int, ...]
+    hue: float | None
+    chroma: float
+    kind: str
+    survivor: int | None
+    grey: float
+    margin: float
+
+
+@dataclass(frozen=True)
+class PixelExplanation:
+    """How one pixel of a stack comes about.
+
+    `rivalries` are of the order `simultaneous`, `meetings` of the others, and of the background.
+    """
+
+    x: int
+    y: int
+    canvas: Window
+    rules: StackRules
+    settings: MeasureSettings
+    layers: tuple[LayerStep, ...]
+    background: BackgroundStep | None
+    meetings: tuple[Meeting, ...]
+    rivalries: tuple[Rivalry, ...]
+    result: Outcome
+    traditional: Outcome
+
+
+def parse_pixel(text: str) -> tuple[int, int]:
+    """A pixel of the canvas from `X,Y`; `SettingError` otherwise."""
+    try:
+        x, y = (int(number) for number in text.split(","))
+    except ValueError:
+        raise SettingError(f"'{text}' is not a pixel: write X,Y, such as 120,45") from None
+    if max(abs(x), abs(y)) > FARTHEST:
+        raise SettingError(f"pixel '{text}' is beyond {FARTHEST} pixels")
+    return x, y
+
+
+def explain(
+    layers: Sequence[Layer],
+    at: str | tuple[int, int],
+    *,
+    op: str = "over",
+    blending: str = "hue-preserving",
+    order: str | Sequence[int] = "bottom-up",
+    space: str = "linear-rgb",
+    primaries: str = "rec709",
+    hue_tolerance: float = DEFAULT_HUE_TOLERANCE,
+    gray_bias: float = 0.0,
+    foreign_tolerance: float | None = None,
+    exposure: float = 0.0,
+    canvas: str | Window = "bottom",
+    overscan: bool = False,
+    background: str | Sequence[float] | None = None,
+    nonfinite: str = "error",
+    strict: bool = False,
+) -> PixelExplanation:
+    """Says how one pixel of `stack` comes about, reading no more rows than that needs.
+
+    `layers`: as in `stack`, whose options mean the same. `at`: the pixel, `X,Y` or two ints, in
+    coordinates of the canvas. `foreign_tolerance`: degrees between p vectors within which a hue is
+    a layer's, twice the hue tolerance if not given and the space's `gamut_turn` more.
+    Returns: the `PixelExplanation`, its colours linear and premultiplied.
+    Errors: `SettingError`, `InputError`, `MismatchError` for a pixel outside the canvas.
+    Warnings: `HpcompWarning`; errors with `strict`.
+    """
+    specs = layer_specs(layers)
+    rules = rules_of(
+        specs,
+        op,
+        blending,
+        order,
+        space,
+        hue_tolerance,
+        background,
+        exposure,
+        primaries,
+        gray_bias=gray_bias,
+    )
+    settings = measure_settings(
+        rules,
+        half_step=HALF_STEP_FINE,
+        achromatic=DEFAULT_ACHROMATIC,
+        foreign_tolerance=foreign_tolerance,
+    )
+    x, y = parse_pixel(at) if isinstance(at, str) else at
+    notices = Notices(strict)
+    with opened_stack(
+        specs, rules, primaries=primaries, canvas=canvas, nonfinite=nonfinite, notices=notices
+    ) as stack:
+        rules = stack.rules
+        window = output_window(
+            stack.canvas, [layer.window for layer in stack.layers], overscan, None
+        )
+        if not window.contains(Window(x, y, 1, 1)):
+            raise MismatchError(
+                f"pixel {x},{y} is outside the canvas {window}: choose one within it"
+            )
+        strips = [_pixel_of(layer, x, y) for layer in stack.layers]
+        pixels = [_linear(strip) for strip in strips]
+        warn_of_zeroed([layer.reader for layer in stack.layers], notices)
+    trace = _Trace(rules, pixels)
+    return PixelExplanation(
+        x=x,
+        y=y,
+        canvas=stack.canvas,
+        rules=rules,
+        settings=settings,
+        layers=_layer_steps(specs, rules, strips, pixels),
+        background=_background_step(rules, pixels),
+        meetings=tuple(trace.meetings),
+        rivalries=tuple(trace.rivalries),
+        result=_outcome(rules, settings, strips, pixels),
+        traditional=_outcome(
+            replace(rules, blending=BLENDINGS["traditional"]), settings, strips, pixels
+        ),
+    )
+
+
+def _pixel_of(layer: PlacedLayer, x: int, y: int) -> Strip:
+    """One pixel as a layer's file holds it; a strip without samples where it has none."""
+    strip = cropped(layer.read(Window(x, y, 1, 1)), 1, 1)
+    _, broken = linear_rgba(strip)
+    layer.reader.note_nonfinite(y - layer.dy, broken)
+    return strip
+
+
+def _linear(strip: Strip) -> Rgba:
+    """(1, 4): linear, premultiplied RGBA of that pixel."""
+    rgba, _ = linear_rgba(strip)
+    return spread(rgba, 0, 0, 1, 1)
+
+
+def _layer_steps(
+    specs: Sequence[LayerSpec],
+    rules: StackRules,
+    strips: Sequence[Strip],
+    pixels: Sequence[Rgba],
+) -> tuple[LayerStep, ...]:
+    with np.errstate(all="ignore"):  # a pixel that is let through as it is may be NaN
+        terms = weighted(rules, rules.space, pixels)
+        steps = []
+        for number, (spec, strip, rgba) in enumerate(zip(specs, strips, pixels, strict=True)):
+            luminance, p = rules.space.forward(rgba.T[:3])
+            there = strip.samples.size > 0
+            operator = rules.operators[number]
+            steps.append(
+                LayerStep(
+                    number=number,
+                    label=spec.label(number),
+                    stored=tuple(strip.samples[0, 0].tolist()) if there else None,
+                    stored_type=_TYPE_NAMES[strip.samples.dtype] if there else "",
+                    rgba=tuple(rgba[0].tolist()),
+                    opacity=rules.opacities[number],
+                    operator=None if operator is None else operator.name,
+                    weight=float(terms.weights[number, 0]),
+                    hue=_hue(rules, luminance, p),
+                    chroma=_size(p),
+                    weighted_chroma=_size(terms.p[number]),
+                )
+            )
+    return tuple(steps)
+
+
+def _background_step(rules: StackRules, pixels: Sequence[Rgba]) -> BackgroundStep | None:
+    if rules.background is None:
+        return None
+    with np.errstate(all="ignore"):
+        weight = float(1 - weighted(rules, rules.space, pixels).alpha[0])
+    luminance, p = rules.space.forward(np.array(rules.background, np.float32)[:, None])
+    return BackgroundStep(
+        rgb=rules.background,
+        weight=weight,
+        hue=_hue(rules, luminance, p),
+        chroma=_size(p),
+        weighted_chroma=weight * _size(p),
+    )
+
+
+def _size(p: Array) -> float:
+    """|p| of the one pixel of p (2, 1)."""
+    return float(chroma(p)[0])
+
+
+def _hue(rules: StackRules, luminance: Array, p: Array) -> float | None:
+    """The hue in degrees of one pixel, Y (1) and p (2, 1); None for a grey."""
+    if not 0 < _size(p) < math.inf:
+        return None
+    rgb = rules.space.inverse(luminance, p)
+    if not np.isfinite(rgb).all() or rgb.max() == rgb.min():
+        return None
+    return float(rules.space.hue_axis.degrees(rgb.astype(np.float64))[0])
+
+
+def _degrees_between(p1: Array, p2: Array) -> float | None:
+    """The angle of two p (2, 1), in degrees; None where one has no hue."""
+    x1, y1, x2, y2 = (float(value) for value in (*p1[:, 0], *p2[:, 0]))
+    if not (x1 or y1) or not (x2 or y2):
+        return None
+    return math.degrees(math.atan2(abs(x1 * y2 - y1 * x2), x1 * x2 + y1 * y2))
+
+
+# --- who met whom ---------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Party:
+    """Colours that were added so far: whose, their Y (1), p (2, 1), and where p is not linear in
+    it RGB (3, 1).
+    """
+
+    numbers: tuple[int | None, ...]
+    luminance: Array
+    p: Array
+    rgb: Array | None
+
+
+@dataclass
+class _Trace:
+    """Reduces the terms as the stack does, and writes down each step."""
+
+    rules: StackRules
+    pixels: Sequence[Rgba]
+    meetings: list[Meeting] = field(default_factory=list)
+    rivalries: list[Rivalry] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        with np.errstate(all="ignore"):
+            found = contributors(self.rules, self.pixels)
+        if not found.known.all():
+            return
+        parties = [
+            _Party((number,), luminance, p, None if found.rgb is None else found.rgb[number])
+            for number, (luminance, p) in enumerate(zip(found.luminance, found.p, strict=True))
+        ]
+        # The orders reduce whatever can be added: here, parties instead of arrays.
+        terms: Any = parties[: found.n_layers]
+        add: Any = self._meet
+        add_all: Any = self._meet_all
+        stack: Any = self.rules.adding_order.reduce(terms, add, add_all)
+        if found.n_layers < len(parties):
+            self._meet(stack, replace(parties[-1], numbers=(None,)))
+
+    @property
+    def _keeps_hues(self) -> bool:
+        return self.rules.blending is BLENDINGS["hue-preserving"]
+
+    def _meet(self, a: _Party, b: _Party) -> _Party:
+        rules = self.rules
+        p, rgb = rules.add(a.p, b.p), None
+        if a.rgb is not None and b.rgb is not None and rules.blending_space is not rules.space:
+            # Plain + of colours, whose p do not add in this space.
+            rgb = a.rgb + b.rgb
+            p = rules.space.forward(rgb)[1]
+        both = _Party(a.numbers + b.numbers, a.luminance + b.luminance, p, rgb)
+        angle = _degrees_between(a.p, b.p)
+        equality = dominant = None
+        if self._keeps_hues and angle is not None:
+            equality = float(shoulder(a.p, b.p, rules.hue_tolerance)[0])
+            if equality < 1 and _size(a.p) != _size(b.p):
+                dominant = 1 if _size(a.p) > _size(b.p) else 2
+        elif rules.blending.depends_on_depth and angle is not None:
+            dominant = 1
+        self.meetings.append(
+            Meeting(
+                first=a.numbers,
+                second=b.numbers,
+                chroma_first=_size(a.p),
+                chroma_second=_size(b.p),
+                angle=angle,
+                equality=equality,
+                dominant=dominant,
+                chroma=_size(both.p),
+                hue=_hue(rules, both.luminance, both.p),
+            )
+        )
+        return both
+
+    def _meet_all(self, parties: Sequence[_Party]) -> _Party:
+        rules = self.rules
+        p = np.stack([party.p for party in parties])
+        numbers = tuple(number for party in parties for number in party.numbers)
+        luminance = np.sum([party.luminance for party in parties], axis=0)
+        if self._keeps_hues:
+            self._note_rivals([number for number in range(len(p)) if _size(p[number]) > 0], p)
+        return _Party(numbers, luminance, rules.add_all(p), None)
+
+    def _note_rivals(self, with_hue: Sequence[int], p: Array) -> None:
+        if not with_hue:
+            return
+        rules = self.rules
+        cancelled = rivalry(p[list(with_hue)], rules.hue_tolerance, rules.gray_bias)[:, :, 0]
+        for number, shares in zip(with_hue, cancelled, strict=True):
+            rival = with_hue[int(shares.argmax())] if shares.max() > 0 else None
+            self.rivalries.append(
+                Rivalry(
+                    number=number,
+                    share=float(1 - shares.max()),
+                    rival=rival,
+                    angle=None if rival is None else _degrees_between(p[number], p[rival]),
+                )
+            )
+
+
+# --- what came out --------------------------------------------------------------------------------
+
+
+def _outcome(
+    rules: StackRules,
+    settings: MeasureSettings,
+    strips: Sequence[Strip],
+    pixels: Sequence[Rgba],
+) -> Outcome:
+    rgba = tuple(_composite(rules, strips, "float").tolist())
+    srgb = tuple(_composite(rules, strips, "uint8").tolist())
+    with np.errstate(all="ignore"):
+        found = contributors(rules, pixels)
+    if not found.known.all():
+        return Outcome(rgba, srgb, None, math.nan, "unmeasured", None, 0.0, 0.0)
+    p = found.reduced(rules)
+    support = Support.of(p, found, settings)
+    winner = int(support.winner(found, settings.half_step)[0])
+    _, provenance = measured(rules, settings, [np.asarray(pixel) for pixel in pixels])
+    if not found.total()[0] > settings.half_step:
+        kind = "colorless"
+    elif not support.size[0] > settings.half_step:
+        kind = "grey"
+    elif not support.has_hue[0]:
+        kind = "foreign"
+    else:
+        kind = "layer" if winner >= 0 else "background"
+    return Outcome(
+        rgba=rgba,
+        srgb=srgb,
+        hue=_hue(rules, found.luminance.sum(axis=0), p),
+        chroma=_size(p),
+        kind=kind,
+        survivor=winner if winner >= 0 else None,
+        grey=float(provenance.grey[0]),
+        margin=float(provenance.margin[0]),
+    )
+
+
+def _composite(rules: StackRules, strips: Sequence[Strip], kind: str) -> NDArray[Any]:
+    """The pixel by the active engine, as an output of that kind holds it: (4)."""
+    accumulator = engine.start(rules, 1, 1)
+    for number in rules.arrival:
+        accumulator.add([number], [strips[number]])
+    return accumulator.result(kind, Losses())[0, 0]

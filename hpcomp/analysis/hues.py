@@ -1,0 +1,185 @@
+"""Measures pictures in files, strip by strip and in one pass: their hue histograms."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import os
+import time
+from collections import deque
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from functools import partial
+from threading import Event
+
+from ..color.samples import Strip, linear_rgba
+from ..errors import SettingError, unknown_name
+from ..imagefile.reading import NONFINITE_POLICIES, STRIP_ROWS, LayerReader
+from ..imagefile.seekable import STDIN
+from ..imagefile.source import codec_threads
+from ..layers.layerspec import LayerSpec, layer_spec
+from ..layers.notices import Notices, warn_of_problems, warn_of_zeroed
+from ..layers.opening import opened_layer
+from ..measures.histogram import DEFAULT_ACHROMATIC, DEFAULT_BINS, HueHistogram, hue_histogram
+from ..system.threads import thread_count
+
+log = logging.getLogger("hpcomp")
+
+Layer = LayerSpec | str | os.PathLike[str]
+
+#: Settings of a layer that say what a stack does with it, and nothing of what it looks like.
+STACK_SETTINGS = ("op", "opacity", "at")
+
+
+def measured_image(image: Layer) -> LayerSpec:
+    """A picture to be measured: a LAYER without settings that only a stack gives a meaning.
+
+    Errors: `SettingError`.
+    """
+    spec = layer_spec(image)
+    for setting in STACK_SETTINGS:
+        if getattr(spec, setting) != getattr(LayerSpec, setting):
+            raise SettingError(
+                f"{image}: '{setting}' says nothing of a single picture: leave it out"
+            )
+    return spec
+
+
+def images_to_measure(images: Sequence[Layer], output: str) -> list[LayerSpec]:
+    """The pictures for a report at `output`, checked as far as names go. Errors: `SettingError`."""
+    specs = [measured_image(image) for image in images]
+    if [spec.path for spec in specs].count(STDIN) > 1:
+        raise SettingError("stdin can be only one of the images")
+    for spec in specs:
+        if _same_file(spec.path, output):
+            raise SettingError(
+                f"{output} is also an image to be measured, which the report would replace: "
+                "name another file with -o"
+            )
+    return specs
+
+
+def _same_file(path: str, output: str) -> bool:
+    if STDIN in (path, output):
+        return False
+    try:
+        return os.path.isfile(path) and os.path.samefile(path, output)
+    except (OSError, ValueError):
+        return False
+
+
+def image_label(spec: LayerSpec) -> str:
+    """What reports and errors call a picture."""
+    return spec.title
+
+
+def read_hues(
+    path: Layer,
+    *,
+    bins: int = DEFAULT_BINS,
+    space: str = "linear-rgb",
+    achromatic: float = DEFAULT_ACHROMATIC,
+    nonfinite: str = "error",
+    strict: bool = False,
+    threads: int | None = None,
+) -> HueHistogram:
+    """Counts the pixels of a file by hue, as `hpcomp hues` does; memory does not follow its height.
+
+    `path`: a file, a LAYER string or a `LayerSpec`; all pixels of its data window count.
+    `bins`, `space`, `achromatic`: as in `hue_histogram`. `nonfinite`: `error`, `zero` or `keep`,
+    for NaN and Inf. `strict`: warnings become errors. `threads`: all cores if None.
+    Returns: a `HueHistogram`, the same for any number of threads.
+    Errors: `SettingError`, `InputError`, `MismatchError`. Warnings: `HpcompWarning`.
+    """
+    spec = measured_image(path)
+    if nonfinite not in NONFINITE_POLICIES:
+        raise unknown_name("nonfinite policy", nonfinite, NONFINITE_POLICIES)
+    n_threads = thread_count(threads)
+    total = HueHistogram.empty(bins, space, achromatic)
+    measure = partial(hue_histogram, bins=bins, space=space, achromatic=achromatic)
+    notices = Notices(strict)
+    begun = time.perf_counter()
+    with (
+        opened_layer(spec, image_label(spec), nonfinite) as reader,
+        codec_threads([reader], reading=1, writing=1),
+    ):
+        warn_of_problems(reader, notices)
+        # Closed before the reader is: no thread reads on behind a failure.
+        with contextlib.closing(_in_order(_strips(reader, measure), n_threads)) as strips:
+            for begin, part, broken in strips:
+                reader.note_nonfinite(begin, broken)
+                total += part
+        warn_of_zeroed([reader], notices)
+        log.info(
+            "%s: %s, %s, alpha %s: %.3f s, %d threads",
+            reader.label,
+            reader.window,
+            reader.decoding.encoding,
+            reader.decoding.alpha_mode if reader.has_alpha else "none",
+            time.perf_counter() - begun,
+            n_threads,
+        )
+    return total
+
+
+#: A strip's first row, its histogram, and how many of its pixels are stored with NaN or Inf.
+_Measured = tuple[int, HueHistogram, int]
+#: What reads a strip, and what measures it.
+_Work = tuple[Callable[[], Strip], Callable[[Strip], _Measured]]
+
+
+def _strips(reader: LayerReader, measure: Callable[..., HueHistogram]) -> Iterator[_Work]:
+    block, window = reader.rows_at_once, reader.window
+
+    def read(begin: int, end: int) -> Strip:
+        return Strip(reader.read_samples(begin, end), reader.decoding)
+
+    def measured(begin: int, strip: Strip) -> _Measured:
+        rgba, broken = linear_rgba(strip)
+        return begin, measure(rgba), broken
+
+    rows = -(-STRIP_ROWS // block) * block  # whole blocks: none is decoded twice
+    for begin in range(window.y, window.bottom, rows):
+        end = min(begin + rows, window.bottom)
+        yield partial(read, begin, end), partial(measured, begin)
+
+
+def _in_order(strips: Iterable[_Work], threads: int) -> Generator[_Measured, None, None]:
+    """The measures of strips in their order, so that the first error is that of the first strip.
+
+    Strips are read one after another, as a file's codec wants it, and measured side by side.
+    """
+    if threads == 1:
+        for read, measure in strips:
+            yield measure(read())
+        return
+
+    def work(
+        read: Callable[[], Strip],
+        measure: Callable[[Strip], _Measured],
+        previous: Event | None,
+        done: Event,
+    ) -> _Measured:
+        try:
+            # Only one that began before this: none waits for ever.
+            if previous is not None:
+                previous.wait()
+            strip = read()
+        finally:
+            done.set()
+        return measure(strip)
+
+    pool = ThreadPoolExecutor(threads, "hpcomp")
+    try:
+        waiting: deque[Future[_Measured]] = deque()
+        previous: Event | None = None
+        for read, measure in strips:
+            done = Event()
+            waiting.append(pool.submit(work, read, measure, previous, done))
+            previous = done
+            if len(waiting) > threads:
+                yield waiting.popleft().result()
+        while waiting:
+            yield waiting.popleft().result()
+    finally:
+        pool.shutdown(cancel_futures=True)

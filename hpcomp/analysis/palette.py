@@ -1,0 +1,569 @@
+"""What labels blend to: every pair over opacity, all their mixtures, what may go wrong.
+
+All colours come from compositing arrays by the rules of a stack. No text, no pictures.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations, permutations
+from pathlib import PurePath
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..blending.addition import chroma, shoulder
+from ..blending.rules import StackRules, stack_rules
+from ..color.difference import contrast, difference
+from ..color.encoding import parse_hex_color
+from ..engine.arrays import composite
+from ..errors import MismatchError, SettingError
+from ..layers.layerspec import LayerSpec
+from ..measures.histogram import DEFAULT_ACHROMATIC
+from ..measures.labels import measure_settings
+from ..system.outputs import STDOUT
+from .hues import Layer, images_to_measure, read_hues
+
+Floats = NDArray[np.floating[Any]]
+Color = str | Sequence[float]
+
+TRADITIONAL = "traditional"
+
+#: Fewer make no pair, and of more nobody could tell the hues.
+FEWEST_LABELS, MOST_LABELS = 2, 24
+
+#: Opacities at which a pair is blended: a power of two and one, so that every eighth is among them.
+PROFILE_STEPS = 257
+#: How the opacity of least chroma is narrowed down: so often, each time by so many steps.
+_ROUNDS, _ROUND_STEPS = 4, 33
+
+#: Above what rounding leaves of a share of chroma that is all there.
+_ALL = 1 - 1e-6
+
+#: Hues nearer than this, in degrees, are hard to tell apart once blending has made them pale.
+DEFAULT_CLOSE_HUES = 15.0
+#: How opaque labels are when it is asked whether they vanish.
+DEFAULT_OPACITY = 0.5
+#: Labels that differ less than this from their background vanish: in Oklab, where 0.02 is what is
+#: just noticeable of two plain colours side by side, and labels are thin, small and apart.
+DEFAULT_LEAST_DIFFERENCE = 0.1
+#: A front label that turns the one behind it grey at less opacity than this drowns it.
+DEFAULT_GREY_OPACITY = 0.25
+
+#: Weights of three colours at a time are multiples of one over this, for few labels and for many.
+_MIXTURE_STEPS, _FEWER_MIXTURE_STEPS, _MANY_TRIPLES = 240, 120, 60
+
+#: What may be wrong with labels, in the order in which it is said.
+FINDING_KINDS = ("no-hue", "close-hues", "vanishes", "hue-lost", "goes-grey")
+
+
+@dataclass(frozen=True)
+class Label:
+    """One label of a palette: its `name`, and its colour `rgb`, straight and linear.
+
+    `hue`: degrees on the axis of the space, None for a grey. `chroma`: |p|. `luminance`: Y.
+    """
+
+    name: str
+    rgb: tuple[float, float, float]
+    hue: float | None
+    chroma: float
+    luminance: float
+
+
+@dataclass(frozen=True, eq=False)
+class Profile:
+    """One label over another, both opaque, while the front one's opacity goes from 0 to 1.
+
+    `rgb` (steps, 3): linear. `hues` (steps,): degrees, NaN where grey. `foreign`, `grey`: the
+    shares of opacities at which the hue is neither label's, and at which there is none. `left`:
+    the chroma at its least, as a share of what the two bring there; None where they bring none.
+    `least_at`: the opacity of that, None where nothing is lost; `turns_grey`: whether it is a grey.
+    """
+
+    rgb: Floats
+    hues: Floats
+    foreign: float
+    grey: float
+    left: float | None
+    least_at: float | None
+    turns_grey: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Pair:
+    """The label `front` over the label `back`, numbers both, in both ways of blending.
+
+    `angle`: degrees between their p vectors, None where one is grey. `equality`: how far ⊕ takes
+    their hues for one, 0 to 1.
+    """
+
+    back: int
+    front: int
+    angle: float | None
+    equality: float
+    result: Profile
+    traditional: Profile
+
+
+@dataclass(frozen=True)
+class OnBackground:
+    """A label at the opacity of the settings over the background, blended in one way.
+
+    `rgb`: linear. `difference`: from the background, in Oklab. `contrast`: of luminances, 1 to 21.
+    `keeps_hue`: whether the hue is the label's; None where the label has none.
+    """
+
+    rgb: tuple[float, float, float]
+    difference: float
+    contrast: float
+    keeps_hue: bool | None
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Something that may be wrong: one of `FINDING_KINDS`, of these labels, by number.
+
+    `blendings`: the ways of blending in which it is so. `measured`: what is beyond the `limit`.
+    Of `goes-grey` the first label is the back one.
+    """
+
+    kind: str
+    labels: tuple[int, ...]
+    blendings: tuple[str, ...]
+    measured: float
+    limit: float
+
+
+@dataclass(frozen=True)
+class PaletteSettings:
+    """What findings are measured by; see `palette`."""
+
+    background: tuple[float, float, float]
+    opacity: float
+    close_hues: float
+    least_difference: float
+    grey_opacity: float
+    achromatic: float
+    foreign_tolerance: float
+
+
+@dataclass(frozen=True, eq=False)
+class Palette:
+    """What labels blend to, as `palette` found.
+
+    `background`: as a label of that name. `rules`: those that were given, by name. `stack`: the
+    same and the others, looked up. `pairs`: every label over every other. `on_background`: of each
+    label, by the name of the blending.
+    """
+
+    labels: tuple[Label, ...]
+    background: Label
+    rules: Mapping[str, Any]
+    stack: StackRules
+    settings: PaletteSettings
+    pairs: tuple[Pair, ...]
+    on_background: tuple[Mapping[str, OnBackground], ...]
+    findings: tuple[Finding, ...]
+
+    @property
+    def blending(self) -> str:
+        """The blending that is compared with the traditional one."""
+        return self.stack.blending.name
+
+    def pair(self, back: int, front: int) -> Pair:
+        """The pair of these labels, by number."""
+        return next(p for p in self.pairs if (p.back, p.front) == (back, front))
+
+    @property
+    def soonest(self) -> tuple[Pair, ...]:
+        """Each two labels once, with that one in front that turns the other grey sooner.
+
+        Those that go grey come first, at the least opacity of the front one before all others;
+        then those that lose most of their chroma.
+        """
+
+        def soon(pair: Pair) -> tuple[bool, float, float]:
+            found = pair.result
+            if found.turns_grey and found.least_at is not None:
+                return False, found.least_at, 0.0
+            return True, 1.0 if found.left is None else found.left, found.least_at or 0.0
+
+        both = [
+            min((self.pair(a, b), self.pair(b, a)), key=soon)
+            for a, b in combinations(range(len(self.labels)), 2)
+        ]
+        return tuple(sorted(both, key=soon))
+
+    def mirrored(self, pair: Pair) -> bool:
+        """Whether the same two in the other order give the same colours, backwards."""
+        other = self.pair(pair.front, pair.back)
+        return all(
+            np.allclose(one.rgb, two.rgb[::-1], rtol=0, atol=1e-9)
+            for one, two in (
+                (pair.result, other.result),
+                (pair.traditional, other.traditional),
+            )
+        )
+
+    @property
+    def distinct(self) -> tuple[Pair, ...]:
+        """Those of `soonest`, each before the other order of the two unless that mirrors it."""
+        found = []
+        for pair in self.soonest:
+            found.append(pair)
+            if not self.mirrored(pair):
+                found.append(self.pair(pair.front, pair.back))
+        return tuple(found)
+
+    def mixtures(self, blending: str) -> Iterator[tuple[Floats, Floats]]:
+        """What any stack of the labels can give on the background: p (2, n), linear rgb (3, n).
+
+        In parts, each of all weights of three colours, the background among them: of all mixtures
+        of one p, three colours are enough for the brightest. The labels are stacked as listed.
+        """
+        n = len(self.labels)
+        triples = list(combinations(range(n + 1), 3))
+        steps = _MIXTURE_STEPS if len(triples) <= _MANY_TRIPLES else _FEWER_MIXTURE_STEPS
+        weights = _lattice(steps)
+        for triple in triples:
+            layers = np.zeros((n, len(weights), 4), np.float32)
+            for weight, member in zip(weights.T, triple, strict=True):
+                if member < n:
+                    layers[member] = weight[:, None] * np.array([*self.labels[member].rgb, 1.0])
+            rgba = composite(
+                list(layers),
+                op="plus",
+                background=self.settings.background,
+                **{**self.rules, "blending": blending},
+            )
+            rgb = np.ascontiguousarray(rgba[:, :3].T)
+            yield self.stack.space.forward(rgb)[1], rgb
+
+
+def _lattice(steps: int) -> Floats:
+    """(n, 3): all weights of three that are multiples of 1 / steps and sum to 1."""
+    first, second = np.meshgrid(np.arange(steps + 1), np.arange(steps + 1), indexing="ij")
+    inside = first + second <= steps
+    first, second = first[inside], second[inside]
+    return np.stack([first, second, steps - first - second], axis=1) / steps
+
+
+def palette(
+    colors: Sequence[Color] = (),
+    *,
+    layers: Sequence[Layer] = (),
+    background: Color = "#ffffff",
+    opacity: float = DEFAULT_OPACITY,
+    close_hues: float = DEFAULT_CLOSE_HUES,
+    least_difference: float = DEFAULT_LEAST_DIFFERENCE,
+    grey_opacity: float = DEFAULT_GREY_OPACITY,
+    achromatic: float = DEFAULT_ACHROMATIC,
+    strict: bool = False,
+    **rules: Any,
+) -> Palette:
+    """Blends every pair of labels in every order, as ⊕ and as traditional + do, and judges them.
+
+    `colors`: 2 to 24 labels, with those of `layers`: CSS hex colours such as `#e41a1c`, with a name
+    `fault=#e41a1c`; or three numbers, straight linear RGB. `layers`: files or LAYER strings, each
+    of which gives a label for each peak of its hues, of the mean colour there.
+    `background`: likewise a colour; labels are judged on it. `rules`: `blending`, `order`, `space`
+    and what else is no matter of single layers, as in `composite`.
+    Findings: `close_hues`, hues are less than so many degrees apart, 0 to 180 between p vectors;
+    `least_difference`, a label at `opacity`, 0 to 1, is nearer to the background than that, 0 to 1
+    in Oklab; `grey_opacity`, one label turns another grey at less opacity than that, 0 to 1;
+    `achromatic`, colours of less saturation have no hue, 0 to 1. `strict`: warnings of files become
+    errors.
+    Returns: a `Palette`.
+    Errors: `SettingError`; of layers, `InputError`, and `MismatchError` where no hue stands out.
+    Source: Chuang et al. 2009, Figures 4 and 6.
+    """
+    for name in ("op", "exposure", "primaries"):
+        if name in rules:
+            raise SettingError(f"'{name}' says nothing of a palette: leave it out")
+    named = [_named(color) for color in colors]
+    for spec in images_to_measure(layers, STDOUT):
+        named += _labels_of(spec, achromatic, strict, str(rules.get("space", "linear-rgb")))
+    if not FEWEST_LABELS <= len(named) <= MOST_LABELS:
+        raise SettingError(
+            f"{len(named)} labels: a palette has {FEWEST_LABELS} to {MOST_LABELS} of them"
+        )
+    checked = stack_rules(len(named), **rules)
+    if checked.blending.name == TRADITIONAL:
+        raise SettingError("traditional blending is what others are compared with: choose another")
+    for what, value, most in (
+        ("close hues", close_hues, 180),
+        ("opacity", opacity, 1),
+        ("least difference", least_difference, 1),
+        ("grey opacity", grey_opacity, 1),
+    ):
+        if not 0 <= value <= most:
+            raise SettingError(f"{what} {value:g} is outside 0 to {most}")
+    measuring = measure_settings(checked, achromatic=achromatic)
+    settings = PaletteSettings(
+        background=_rgb(background),
+        opacity=float(opacity),
+        close_hues=float(close_hues),
+        least_difference=float(least_difference),
+        grey_opacity=float(grey_opacity),
+        achromatic=measuring.achromatic,
+        foreign_tolerance=measuring.foreign_tolerance,
+    )
+    work = _Work(named, rules, checked, settings)
+    labels = work.labels()
+    pairs = tuple(work.pairs())
+    shown = tuple(work.on_background(number) for number in range(len(named)))
+    findings = tuple(_findings(labels, settings, pairs, shown, checked.blending.name))
+    (below,) = replace(work, named=[("background", settings.background)]).labels()
+    return Palette(labels, below, rules, checked, settings, pairs, shown, findings)
+
+
+# --- labels ---------------------------------------------------------------------------------------
+
+_Named = tuple[str, tuple[float, float, float]]
+
+
+def _rgb(color: Color) -> tuple[float, float, float]:
+    """A colour as straight linear RGB. Errors: `SettingError`."""
+    if isinstance(color, str):
+        return parse_hex_color(color)
+    found = tuple(float(value) for value in color)
+    if len(found) != 3 or not all(0 <= value < math.inf for value in found):
+        raise SettingError(
+            f"{color} is not a colour: give three numbers from 0 up, linear RGB, or a hex colour"
+        )
+    return found
+
+
+def _named(color: Color) -> _Named:
+    """The name and the colour of `NAME=#rrggbb`, `#rrggbb` or three numbers."""
+    if not isinstance(color, str):
+        rgb = _rgb(color)
+        return "rgb(" + ", ".join(f"{value:.3g}" for value in rgb) + ")", rgb
+    name, _, hexadecimal = color.rpartition("=")
+    rgb = parse_hex_color(hexadecimal)
+    return name or f"#{hexadecimal.removeprefix('#').lower()}", rgb
+
+
+def _labels_of(spec: LayerSpec, achromatic: float, strict: bool, space: str) -> list[_Named]:
+    """A label for each peak of a layer's hues, the most frequent first. Errors: `MismatchError`."""
+    peaks = read_hues(spec, space=space, achromatic=achromatic, strict=strict).peaks
+    name = spec.name or ("stdin" if spec.path == "-" else PurePath(spec.path).stem)
+    if not peaks:
+        raise MismatchError(f"{spec.title}: no hue stands out in it: name its colours instead")
+    if len(peaks) == 1:
+        return [(name, peaks[0].rgb)]
+    return [(f"{name} {peak.hue:.0f}°", peak.rgb) for peak in peaks]
+
+
+# --- blending -------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Work:
+    """Blends labels by the rules, all in doubles."""
+
+    named: Sequence[_Named]
+    rules: Mapping[str, Any]
+    stack: StackRules
+    settings: PaletteSettings
+
+    @property
+    def blendings(self) -> tuple[str, str]:
+        return TRADITIONAL, self.stack.blending.name
+
+    def labels(self) -> tuple[Label, ...]:
+        luminance, p = self.stack.space.forward(self._colors().T)
+        hues = self._hues(self._colors())
+        return tuple(
+            Label(
+                name=name,
+                rgb=rgb,
+                hue=None if math.isnan(hue) else float(hue),
+                chroma=float(size),
+                luminance=float(y),
+            )
+            for (name, rgb), hue, size, y in zip(
+                self.named, hues, chroma(p), luminance, strict=True
+            )
+        )
+
+    def pairs(self) -> Iterator[Pair]:
+        both = np.array(list(permutations(range(len(self.named)), 2)))
+        p = self._p(self._colors())
+        backs, fronts = p[:, both[:, 0]], p[:, both[:, 1]]
+        equality = shoulder(backs, fronts, self.stack.hue_tolerance)
+        traditional, result = (self._profiles(both, blending) for blending in self.blendings)
+        has_hue = ~np.isnan(self._hues(self._colors()))
+        for k, (back, front) in enumerate(both.tolist()):
+            known = bool(has_hue[back] and has_hue[front])
+            yield Pair(
+                back=back,
+                front=front,
+                angle=float(_angle(backs[:, k], fronts[:, k])) if known else None,
+                equality=float(equality[k]) if known else 0.0,
+                result=result[k],
+                traditional=traditional[k],
+            )
+
+    def on_background(self, number: int) -> dict[str, OnBackground]:
+        """A label at the opacity of the settings, in each way of blending."""
+        below = np.array(self.settings.background)
+        y_below, _ = self.stack.space.forward(below[:, None])
+        color = self._colors()[number]
+        has_hue = not np.isnan(self._hues(color[None])).any()
+        found = {}
+        for blending in self.blendings:
+            layer = self.settings.opacity * np.append(color, 1.0)
+            rgba = composite([layer], background=tuple(below), **self._rules(blending))
+            rgb = rgba[:3]
+            luminance, p = self.stack.space.forward(rgb[:, None])
+            keeps = None
+            if has_hue:
+                near = _angle(p, self._p(color[None])) <= self.settings.foreign_tolerance
+                keeps = bool(near[0] and not np.isnan(self._hues(rgb[None])).any())
+            found[blending] = OnBackground(
+                rgb=tuple(rgb.tolist()),
+                difference=float(difference(rgb, below)),
+                contrast=float(contrast(luminance[0], y_below[0])),
+                keeps_hue=keeps,
+            )
+        return found
+
+    def _colors(self) -> Floats:
+        return np.array([rgb for _, rgb in self.named])
+
+    def _p(self, rgb: Floats) -> Floats:
+        """p (2, …) of rgb (…, 3)."""
+        return self.stack.space.forward(np.moveaxis(rgb, -1, 0))[1]
+
+    def _hues(self, rgb: Floats) -> Floats:
+        """Degrees (…) of rgb (…, 3), NaN where it is a grey by the settings."""
+        largest, smallest = rgb.max(axis=-1), rgb.min(axis=-1)
+        size = np.maximum(np.abs(largest), np.abs(smallest))
+        spread = largest - smallest
+        chromatic = (spread > 0) & (spread >= self.settings.achromatic * size)
+        hues = np.full(rgb.shape[:-1], np.nan)
+        hues[chromatic] = self.stack.space.hue_axis.degrees(rgb[chromatic].T)
+        return hues
+
+    def _rules(self, blending: str) -> dict[str, Any]:
+        """The rules of one or two layers, in which a blend order has no effect."""
+        kept = {name: value for name, value in self.rules.items() if name != "order"}
+        return {**kept, "blending": blending}
+
+    def _blended(self, both: NDArray[np.intp], opacities: Floats, blending: str) -> Floats:
+        """Opaque fronts over opaque backs: (pairs, 2), (pairs, n) → rgb (pairs, n, 3)."""
+        opaque = np.concatenate([self._colors(), np.ones((len(self.named), 1))], axis=1)
+        backs = np.broadcast_to(opaque[both[:, 0], None], (*opacities.shape, 4))
+        fronts = opaque[both[:, 1], None] * opacities[..., None]
+        return composite([backs, fronts], **self._rules(blending))[..., :3]
+
+    def _left(self, both: NDArray[np.intp], opacities: Floats, rgb: Floats) -> Floats:
+        """(pairs, n): what of the chroma that two labels bring their blend has; 1 of nothing."""
+        m = chroma(self._p(self._colors()))
+        brought = (1 - opacities) * m[both[:, :1]] + opacities * m[both[:, 1:]]
+        left = np.ones_like(brought)
+        return np.divide(chroma(self._p(rgb)), brought, out=left, where=brought > 1e-12)
+
+    def _profiles(self, both: NDArray[np.intp], blending: str) -> list[Profile]:
+        steps = np.linspace(0, 1, PROFILE_STEPS)
+        rgb = self._blended(both, np.broadcast_to(steps, (len(both), len(steps))), blending)
+        hues = self._hues(rgb)
+        p, own = self._p(rgb), self._p(self._colors())
+        near = np.zeros(hues.shape, bool)
+        for side in (0, 1):
+            labels = own[:, both[:, side], None]
+            near |= _angle(p, labels) <= self.settings.foreign_tolerance
+        grey = np.isnan(hues)
+        foreign = ~grey & ~near
+
+        opacities = np.broadcast_to(steps, hues.shape)
+        left = self._left(both, opacities, rgb)
+        width = 1 / (PROFILE_STEPS - 1)
+        rows = np.arange(len(both))
+        for _ in range(_ROUNDS):
+            best = opacities[rows, left.argmin(axis=1)]
+            opacities = np.clip(best[:, None] + np.linspace(-width, width, _ROUND_STEPS), 0, 1)
+            left = self._left(both, opacities, self._blended(both, opacities, blending))
+            width *= 2 / (_ROUND_STEPS - 1)
+        at = left.argmin(axis=1)
+        best, least = opacities[rows, at], left[rows, at]
+        least_rgb = self._blended(both, best[:, None], blending)[:, 0]
+        turns = np.isnan(self._hues(least_rgb))
+        has_hue = ~np.isnan(self._hues(self._colors()))
+        found = []
+        for k, (back, front) in enumerate(both.tolist()):
+            lost = least[k] < _ALL
+            brings = bool(has_hue[back] or has_hue[front])
+            found.append(
+                Profile(
+                    rgb=rgb[k],
+                    hues=hues[k],
+                    foreign=float(foreign[k].mean()),
+                    grey=float(grey[k].mean()),
+                    left=float(min(least[k], 1.0)) if brings else None,
+                    least_at=float(best[k]) if brings and lost else None,
+                    turns_grey=bool(has_hue[back] and has_hue[front] and lost and turns[k]),
+                )
+            )
+        return found
+
+
+def _angle(p1: Floats, p2: Floats) -> Floats:
+    """Degrees (…) between p (2, …)."""
+    cross = p1[0] * p2[1] - p1[1] * p2[0]
+    return np.degrees(np.arctan2(np.abs(cross), p1[0] * p2[0] + p1[1] * p2[1]))
+
+
+# --- findings -------------------------------------------------------------------------------------
+
+
+def _findings(
+    labels: Sequence[Label],
+    settings: PaletteSettings,
+    pairs: Sequence[Pair],
+    shown: Sequence[Mapping[str, OnBackground]],
+    blending: str,
+) -> Iterator[Finding]:
+    """What may be wrong, kind by kind in the order of `FINDING_KINDS`."""
+    both = (TRADITIONAL, blending)
+    for number, label in enumerate(labels):
+        if label.hue is None:
+            largest = max(label.rgb)
+            saturation = (largest - min(label.rgb)) / largest if largest else 0.0
+            yield Finding("no-hue", (number,), both, saturation, settings.achromatic)
+    for pair in pairs:
+        if pair.back < pair.front and pair.angle is not None and pair.angle < settings.close_hues:
+            close = (pair.back, pair.front)
+            yield Finding("close-hues", close, both, pair.angle, settings.close_hues)
+    for number, on in enumerate(shown):
+        least = settings.least_difference
+        faint = tuple(name for name in both if on[name].difference < least)
+        if faint:
+            measured = min(on[name].difference for name in faint)
+            yield Finding("vanishes", (number,), faint, measured, least)
+    for number, on in enumerate(shown):
+        lost = tuple(name for name in both if on[name].keeps_hue is False)
+        if lost:
+            yield Finding("hue-lost", (number,), lost, settings.opacity, settings.opacity)
+    for pair in pairs:
+        profiles = dict(zip(both, (pair.traditional, pair.result), strict=True))
+        soon = {
+            name: found.least_at
+            for name, found in profiles.items()
+            if found.turns_grey
+            and found.least_at is not None
+            and found.least_at < settings.grey_opacity
+        }
+        if soon:
+            yield Finding(
+                "goes-grey",
+                (pair.back, pair.front),
+                tuple(soon),
+                min(soon.values()),
+                settings.grey_opacity,
+            )

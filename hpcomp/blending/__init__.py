@@ -1,0 +1,1 @@
+"""The mathematics: ⊕, orders, operators, and the rules of a stack. numpy only, no files."""

@@ -1,0 +1,225 @@
+"""How the chroma of colours is added: the hue-preserving ⊕, and what it is compared with.
+
+Luminances always add [R1]; here are only the chroma vectors `p` (2, …), planes first, in any
+blending space. Every angle is between p vectors. The first of two vectors is that of the colour in
+front, which only `foremost` asks.
+Chuang, Weiskopf, Möller: Hue-Preserving Color Blending, 2009; R1–R3 are its requirements.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import reduce
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import SettingError, unknown_name
+
+Array = NDArray[np.floating[Any]]
+
+#: Two shadings of one pale label, stored in 8 bits, differ by up to this many degrees.
+DEFAULT_HUE_TOLERANCE = 2.0
+
+#: The hues that count as equal at tolerance 0, in radians: what float rounding turns a vector by.
+ROUNDING_ANGLE = 1e-4
+
+#: Above what float32 rounding changes in the cosine of two unit vectors.
+COSINE_ROUNDING = 1e-5
+
+#: The largest tolerance, in degrees: at 90 the shoulder reaches the opposite hue.
+MAX_HUE_TOLERANCE = 90.0
+
+
+def check_hue_tolerance(degrees: float) -> float:
+    """The tolerance as a float; `SettingError` outside [0, 90] degrees."""
+    if not 0 <= degrees <= MAX_HUE_TOLERANCE:
+        raise SettingError(
+            f"hue tolerance {degrees:g} is outside 0 to {MAX_HUE_TOLERANCE:g} degrees"
+        )
+    return float(degrees)
+
+
+def check_gray_bias(bias: float) -> float:
+    """The bias as a float; `SettingError` outside [0, 1]."""
+    if not 0 <= bias <= 1:
+        raise SettingError(f"gray bias {bias:g} is outside 0 to 1")
+    return float(bias)
+
+
+def chroma(p: Array) -> Array:
+    """|p| (…) of p (2, …)."""
+    return np.hypot(p[0], p[1])
+
+
+def _ratio(numerator: Array, denominator: Array) -> Array:
+    """numerator / denominator, and 0 where the denominator is 0."""
+    ratio = np.zeros(np.broadcast_shapes(numerator.shape, denominator.shape), denominator.dtype)
+    return np.divide(numerator, denominator, out=ratio, where=denominator > 0)
+
+
+def shoulder(p1: Array, p2: Array, hue_tolerance: float) -> Array:
+    """How far two hues count as equal: e (…) in [0, 1], for p (2, …).
+
+    1 up to `hue_tolerance` degrees, 0 from twice that on, a smoothstep between. At tolerance 0 a
+    hard switch at `ROUNDING_ANGLE`. A vector without hue (p = 0) is equal to any.
+    """
+    m1, m2 = chroma(p1), chroma(p2)
+    # Unit vectors, so that neither tiny nor huge colours leave the range of the type.
+    x1, y1 = _ratio(p1, m1)
+    x2, y2 = _ratio(p2, m2)
+    cosine = x1 * x2 + y1 * y2
+    e = ((m1 == 0) | (m2 == 0)).astype(cosine.dtype)
+    # Few pixels lie near the switch: only they need the angle itself.
+    switch_end = math.radians(2 * hue_tolerance) if hue_tolerance > 0 else ROUNDING_ANGLE
+    near = (cosine >= math.cos(switch_end) - COSINE_ROUNDING) & (e == 0)
+    angle = np.arctan2(np.abs(x1[near] * y2[near] - y1[near] * x2[near]), cosine[near])
+    if hue_tolerance > 0:
+        t = np.clip(angle / math.radians(hue_tolerance) - 1, 0, 1)
+        e[near] = 1 - t * t * (3 - 2 * t)
+    else:
+        e[near] = angle <= ROUNDING_ANGLE
+    return e
+
+
+def _biased(share: Array, gray_bias: float) -> Array:
+    """What a bias b against grey makes of the share (…), in [0, 1], that a rival cancels."""
+    return share ** (1 + 3 * gray_bias) if gray_bias else share
+
+
+def add_hue_preserving(p1: Array, p2: Array, hue_tolerance: float, gray_bias: float = 0.0) -> Array:
+    """⊕ of two chroma vectors (2, …): the hue of the stronger one survives.
+
+    The weaker one cancels its own length of it, or less with a bias against grey in [0, 1].
+    Chuang et al. 2009, Algorithm 1 in closed form; opposite colours are never formed, so nothing
+    leaves the gamut on the way.
+    """
+    m1, m2 = chroma(p1), chroma(p2)
+    p_big = np.where(m1 >= m2, p1, p2)
+    m_big, m_small = np.maximum(m1, m2), np.minimum(m1, m2)
+    kept = _ratio(m_big - m_small, m_big)
+    if gray_bias:
+        kept = 1 - _biased(_ratio(m_small, m_big), gray_bias)
+    p_differ = kept * p_big  # [R2][R3]
+    p_equal = p1 + p2
+    e = shoulder(p1, p2, hue_tolerance)
+    return p_differ + e * (p_equal - p_differ)  # [D3]
+
+
+def add_traditional(p1: Array, p2: Array, hue_tolerance: float, gray_bias: float = 0.0) -> Array:
+    """Plain + of two chroma vectors (2, …); tolerance and bias have no part in it."""
+    return p1 + p2
+
+
+def add_foremost(
+    front: Array, behind: Array, hue_tolerance: float, gray_bias: float = 0.0
+) -> Array:
+    """The chroma (2, …) in front, or what is behind where there is none in front.
+
+    A baseline: what Chuang et al. 2009, section 7, say of Wang et al. 2008. Not continuous: the
+    least chroma in front decides. Tolerance and bias have no part in it.
+    """
+    return np.where((front != 0).any(axis=0), front, behind)
+
+
+def sum_simultaneous(p: Array, hue_tolerance: float, gray_bias: float = 0.0) -> Array:
+    """⊕ of many chroma vectors at once, p (n, 2, …) → (2, …), whatever their order.
+
+    Each term is scaled down by its strongest rival of another hue. Terms without chroma drop out
+    first, so that the cost follows the number of those that have some, pixel by pixel.
+    """
+    n, _, *shape = p.shape
+    flat = p.reshape(n, 2, -1)
+    has_hue = chroma(flat.swapaxes(0, 1)) > 0
+    counts = has_hue.sum(axis=0)
+    first = np.argsort(~has_hue, axis=0, kind="stable")
+    total = np.zeros((2, flat.shape[2]), p.dtype)
+    for count in np.unique(counts[counts > 0]):
+        pixels = np.flatnonzero(counts == count)
+        # The pair tables hold count² values a pixel: short runs keep them in cache.
+        for run in np.array_split(pixels, max(1, len(pixels) * count**2 >> 18)):
+            terms = flat[first[:count, run][:, None], np.arange(2)[None, :, None], run]
+            total[:, run] = _rivals_scaled_sum(terms, hue_tolerance, gray_bias)
+    return total.reshape(2, *shape)
+
+
+def _rivals_scaled_sum(p: Array, hue_tolerance: float, gray_bias: float) -> Array:
+    """The simultaneous rule for p (n, 2, pixels), every |p| > 0."""
+    if len(p) == 1:
+        return p[0]
+    s = 1 - rivalry(p, hue_tolerance, gray_bias).max(axis=1)
+    total = np.zeros_like(p[0])
+    for scale, term in zip(s, p, strict=True):
+        total += scale * term
+    return total
+
+
+def rivalry(p: Array, hue_tolerance: float, gray_bias: float = 0.0) -> Array:
+    """(n, n, pixels): what share of term i its rival j would cancel; p (n, 2, pixels), |p| > 0."""
+    n = len(p)
+    m = chroma(p.swapaxes(0, 1))
+    e = np.ones((n, n, p.shape[2]), p.dtype)
+    for i in range(n):
+        for j in range(i):
+            e[i, j] = e[j, i] = shoulder(p[i], p[j], hue_tolerance)
+    # support[i, j]: what backs i's hue and not j's. near[j]: the most that j's own hue can hold; it
+    # vanishes with m_j and does not count terms, so that a vanishing term changes nothing.
+    support = np.zeros_like(e)
+    near = np.zeros_like(m)
+    for k in range(n):
+        support += (e[:, k] * m[k])[:, None] * (1 - e[:, k])[None, :]
+        near += np.minimum(m, m[k])
+    rival = np.minimum(support.swapaxes(0, 1), near[None, :])
+    q = _ratio(np.minimum(rival, support), support)  # min(1, q) of the text
+    return (1 - e) * _biased(q, gray_bias)
+
+
+def sum_traditional(p: Array, hue_tolerance: float, gray_bias: float = 0.0) -> Array:
+    """Plain sum of many chroma vectors, p (n, 2, …) → (2, …)."""
+    total = np.zeros_like(p[0])
+    for term in p:
+        total += term
+    return total
+
+
+def sum_foremost(p: Array, hue_tolerance: float, gray_bias: float = 0.0) -> Array:
+    """The first of many chroma vectors that is not 0, from the front, p (n, 2, …) → (2, …)."""
+    return reduce(lambda front, behind: add_foremost(front, behind, hue_tolerance), p)
+
+
+@dataclass(frozen=True)
+class Blending:
+    """One row of the table: how two chroma vectors add, and how many do at once.
+
+    Both take a hue tolerance in degrees and a bias against grey. `depends_on_order`: whether the
+    blend order matters; `depends_on_depth`: whether it matters who is in front, who is given first.
+    """
+
+    name: str
+    add: Callable[[Array, Array, float, float], Array]
+    add_all: Callable[[Array, float, float], Array]
+    depends_on_order: bool
+    depends_on_depth: bool = False
+
+
+BLENDINGS: dict[str, Blending] = {
+    row.name: row
+    for row in (
+        Blending("hue-preserving", add_hue_preserving, sum_simultaneous, depends_on_order=True),
+        Blending("traditional", add_traditional, sum_traditional, depends_on_order=False),
+        Blending(
+            "foremost", add_foremost, sum_foremost, depends_on_order=False, depends_on_depth=True
+        ),
+    )
+}
+
+
+def blending(name: str) -> Blending:
+    """The blending of that name; `SettingError` lists the valid ones."""
+    try:
+        return BLENDINGS[name]
+    except KeyError:
+        raise unknown_name("blending", name, BLENDINGS) from None

@@ -1,0 +1,100 @@
+"""Blend orders: in which sequence the terms of a stack are reduced, two of them by `addition`.
+
+The stacking order decides the weights of the terms, the blend order only how they are reduced.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import reduce
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import SettingError
+
+Array = NDArray[np.floating[Any]]
+Add = Callable[[Array, Array], Array]
+AddAll = Callable[[Array], Array]
+#: Reduces chroma terms, bottom first, p (n, 2, …) → (2, …).
+Reduction = Callable[[Array, Add, AddAll], Array]
+
+
+def _bottom_up(terms: Array, add: Add, add_all: AddAll) -> Array:
+    return reduce(add, terms)
+
+
+def _top_down(terms: Array, add: Add, add_all: AddAll) -> Array:
+    return reduce(add, terms[::-1])
+
+
+def _balanced(terms: Array, add: Add, add_all: AddAll) -> Array:
+    level = list(terms)
+    while len(level) > 1:
+        odd_one = level[len(level) & ~1 :]
+        level = [add(*pair) for pair in zip(level[0::2], level[1::2], strict=False)] + odd_one
+    return level[0]
+
+
+def _simultaneous(terms: Array, add: Add, add_all: AddAll) -> Array:
+    return add_all(terms)
+
+
+@dataclass(frozen=True)
+class Order:
+    """A blend order: its name, and how it reduces the terms of a stack.
+
+    `sequence` is that of an explicit permutation.
+    """
+
+    name: str
+    reduce: Reduction
+    sequence: tuple[int, ...] = ()
+
+
+ORDERS: dict[str, Order] = {
+    row.name: row
+    for row in (
+        Order("bottom-up", _bottom_up),
+        Order("top-down", _top_down),
+        Order("balanced", _balanced),
+        Order("simultaneous", _simultaneous),
+    )
+}
+
+
+def _permutation(sequence: Sequence[int], n_layers: int) -> Order:
+    """A left fold in an explicit order of the layers' numbers, 0 being the bottom."""
+    if sorted(sequence) != list(range(n_layers)):
+        raise SettingError(
+            f"order {','.join(map(str, sequence))} is not a permutation: name each of the layers "
+            f"0 to {n_layers - 1} exactly once"
+        )
+    numbers = tuple(int(number) for number in sequence)
+
+    def reduce_permuted(terms: Array, add: Add, add_all: AddAll) -> Array:
+        return reduce(add, (terms[number] for number in numbers))
+
+    return Order(",".join(map(str, numbers)), reduce_permuted, numbers)
+
+
+def order(name: str | Sequence[int], n_layers: int) -> Order:
+    """The blend order of that name, or of a permutation: `"2,0,1"` or a sequence of ints.
+
+    Errors: `SettingError` for an unknown name, listing the valid ones, and for a sequence that
+    does not name each of the `n_layers` layers once.
+    """
+    if not isinstance(name, str):
+        return _permutation(name, n_layers)
+    if name in ORDERS:
+        return ORDERS[name]
+    try:
+        numbers = [int(number) for number in name.split(",")]
+    except ValueError:
+        raise SettingError(
+            f"unknown order '{name}': choose one of {', '.join(ORDERS)}, "
+            "or a permutation of the layers such as 2,0,1"
+        ) from None
+    return _permutation(numbers, n_layers)

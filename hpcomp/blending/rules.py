@@ -1,0 +1,171 @@
+"""The rules of a stack, and how it is reduced.
+
+A stack is a reduction with ⊕ of the terms `w_i c_i`: the operators turn alphas into weights, the
+blend order reduces the terms. No pixels here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from enum import Enum
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..color import spaces
+from ..color.encoding import REC709, Primaries, converted, to_xyz, working_primaries
+from ..errors import MismatchError, SettingError
+from . import addition, orders, porter_duff
+from .addition import DEFAULT_HUE_TOLERANCE
+
+Array = NDArray[np.floating[Any]]
+
+#: More than there are between the faintest and the brightest float.
+MAX_STOPS = 100
+
+
+class Reduction(Enum):
+    """How an engine reduces a stack: a fold holds one accumulator, else it holds every layer."""
+
+    BOTTOM_UP = "bottom-up"
+    FRONT_TO_BACK = "front-to-back"
+    ALL_LAYERS = "all-layers"
+
+
+@dataclass(frozen=True)
+class StackRules:
+    """Everything that decides how the pixels of a stack become one: no pixels, no files.
+
+    `operators[i]` puts layer i on those below it (None for layer 0); `opacities` are in [0, 1];
+    `background` is straight linear RGB; `exposure` is in stops. `space` is that of reports;
+    `primaries` are those of all RGB.
+    """
+
+    operators: tuple[porter_duff.Operator | None, ...]
+    opacities: tuple[float, ...]
+    blending: addition.Blending
+    order: orders.Order
+    space: spaces.Space
+    hue_tolerance: float
+    gray_bias: float
+    background: tuple[float, ...] | None
+    exposure: float
+    primaries: Primaries = REC709
+
+    def in_primaries(self, primaries: Primaries) -> StackRules:
+        """The same rules in other primaries; `MismatchError` where blue, say, has no luminance."""
+        if primaries == self.primaries:
+            return self
+        rgb_to_xyz = to_xyz(primaries)
+        if min(rgb_to_xyz[1]) <= 0:
+            raise MismatchError(
+                f"the primaries {primaries.name} have one whose luminance is not above 0, which no "
+                "blending space can do with: name others with --primaries, such as acescg"
+            )
+        background = self.background
+        if background is not None:
+            color = converted(np.array(background), self.primaries, primaries)
+            background = tuple(color.tolist())
+        space = spaces.space(self.space.name, rgb_to_xyz)
+        return replace(self, primaries=primaries, space=space, background=background)
+
+    def add(self, front: Array, behind: Array) -> Array:
+        """⊕ of two p (2, …), or what else the blending is; only `foremost` asks who is in front."""
+        return self.blending.add(front, behind, self.hue_tolerance, self.gray_bias)
+
+    def add_all(self, terms: Array) -> Array:
+        """All of p (n, 2, …) at once → (2, …)."""
+        return self.blending.add_all(terms, self.hue_tolerance, self.gray_bias)
+
+    @property
+    def depth(self) -> tuple[int, ...]:
+        """The layers' numbers from front to back, as their operators put them there."""
+        found: tuple[int, ...] = ()
+        for number, row in enumerate(self.operators):
+            front, behind = ((number,), found) if row is None else row.front_first((number,), found)
+            found = front + behind
+        return found
+
+    @property
+    def adding_order(self) -> orders.Order:
+        """The order in which terms, bottom first, are added: the stack's, or from the front."""
+        if self.blending.depends_on_depth:
+            return orders.order(self.depth, len(self.operators))
+        return self.order
+
+    @property
+    def blending_space(self) -> spaces.Space:
+        """The space in which p adds: + gives one picture in all, which only linear maps give."""
+        plain = self.blending is addition.BLENDINGS["traditional"]
+        if not plain or self.space.linear:
+            return self.space
+        return spaces.space("linear-rgb", self.space.rgb_to_xyz)
+
+    @property
+    def reduction(self) -> Reduction:
+        """The leanest way to reduce this stack while its layers arrive."""
+        if self.order is orders.ORDERS["bottom-up"] or not self.blending.depends_on_order:
+            return Reduction.BOTTOM_UP
+        only_over = all(row is None or row.name == "over" for row in self.operators)
+        if self.order is orders.ORDERS["top-down"] and only_over:
+            return Reduction.FRONT_TO_BACK
+        return Reduction.ALL_LAYERS
+
+    @property
+    def arrival(self) -> Sequence[int]:
+        """The layers' numbers in the order in which an engine takes them."""
+        numbers = range(len(self.operators))
+        return numbers[::-1] if self.reduction is Reduction.FRONT_TO_BACK else numbers
+
+
+def stack_rules(
+    n_layers: int,
+    *,
+    op: str | Sequence[str | None] = "over",
+    opacity: float | Sequence[float] = 1.0,
+    blending: str = "hue-preserving",
+    order: str | Sequence[int] = "bottom-up",
+    space: str = "linear-rgb",
+    hue_tolerance: float = DEFAULT_HUE_TOLERANCE,
+    gray_bias: float = 0.0,
+    background: Sequence[float] | None = None,
+    exposure: float = 0.0,
+    primaries: str = "rec709",
+) -> StackRules:
+    """The rules of a stack of `n_layers`, looked up and checked; the arguments of `composite`."""
+    working = working_primaries(primaries)
+    if n_layers < 1:
+        raise SettingError("a stack needs at least one layer")
+    ops = [None, *[op] * (n_layers - 1)] if isinstance(op, str) else list(op)
+    opacities = np.full(n_layers, opacity) if np.ndim(opacity) == 0 else np.asarray(opacity)
+    for what, given in (("operators", len(ops)), ("opacities", len(opacities))):
+        if given != n_layers:
+            raise SettingError(f"{given} {what} for {n_layers} layers: give one for each")
+    if None in ops[1:]:
+        raise SettingError(f"layer {ops.index(None, 1)} has no operator: name one such as 'over'")
+    if ops[0] is not None:
+        raise SettingError(
+            f"layer 0 is the bottom, with nothing below it for '{ops[0]}' to act on: "
+            "leave its operator out"
+        )
+    for number, value in enumerate(opacities):
+        if not 0 <= value <= 1:
+            raise SettingError(f"layer {number}: opacity {value:g} is outside 0 to 1")
+    if background is not None and (len(background) != 3 or not np.isfinite(background).all()):
+        raise SettingError(f"background {background} is not three finite components, linear RGB")
+    if not abs(exposure) <= MAX_STOPS:
+        raise SettingError(f"exposure {exposure:g} is outside -{MAX_STOPS} to {MAX_STOPS} stops")
+    return StackRules(
+        operators=tuple(None if name is None else porter_duff.operator(name) for name in ops),
+        opacities=tuple(float(value) for value in opacities),
+        blending=addition.blending(blending),
+        order=orders.order(order, n_layers),
+        space=spaces.space(space, to_xyz(working)),
+        hue_tolerance=addition.check_hue_tolerance(hue_tolerance),
+        gray_bias=addition.check_gray_bias(gray_bias),
+        background=None if background is None else tuple(float(v) for v in background),
+        exposure=float(exposure),
+        primaries=working,
+    )

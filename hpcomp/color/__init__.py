@@ -1,0 +1,1 @@
+"""What stored numbers mean as light: curves, primaries, blending spaces, gamut. No files."""

@@ -1,0 +1,270 @@
+"""Blending spaces: linear RGB to (Y, p) and back. What ⊕ does with p lives in `addition`.
+
+`Y` is the linear luminance and `p` the two chroma coordinates of a colour: its difference vector to
+the grey axis at the same luminance. The angle of p is the hue, its length the chroma.
+Arrays are planes first: `rgb` is (3, …), `p` is (2, …), so that each component is contiguous.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import cache, partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import unknown_name
+from .hueaxis import HEXAGON, HueAxis, angle_axis
+from .uniformspaces import (
+    CielabCoefficients,
+    OklabCoefficients,
+    cielab_coefficients,
+    cielab_forward,
+    cielab_inverse,
+    oklab_coefficients,
+    oklab_forward,
+    oklab_inverse,
+)
+
+Array = NDArray[np.floating[Any]]
+#: Three rows of three numbers, hashable.
+Matrix = tuple[tuple[float, ...], ...]
+
+#: Luminance of the linear Rec. 709 primaries: the Y row of RGB→XYZ for the chromaticities of
+#: ITU-R BT.709 with D65 at (0.3127, 0.3290), here to 16 digits.
+REC709_WEIGHTS: tuple[float, float, float] = (
+    0.21263900587151036,
+    0.7151686787677559,
+    0.07219231536073371,
+)
+
+#: Rec. ITU-R BT.709-6, item 1.3: (x, y) of the primaries red, green and blue, and of white, D65.
+REC709_CHROMATICITIES: tuple[tuple[float, float], ...] = ((0.64, 0.33), (0.3, 0.6), (0.15, 0.06))
+D65: tuple[float, float] = (0.3127, 0.3290)
+
+
+#: XYZ of each primary by columns, white being D65 at Y = 1: RGB→XYZ of Rec. 709.
+REC709_TO_XYZ: Matrix = (
+    tuple(w * (x / y) for w, (x, y) in zip(REC709_WEIGHTS, REC709_CHROMATICITIES, strict=True)),
+    REC709_WEIGHTS,
+    tuple(
+        w * ((1 - x - y) / y)
+        for w, (x, y) in zip(REC709_WEIGHTS, REC709_CHROMATICITIES, strict=True)
+    ),
+)
+
+
+@dataclass(frozen=True)
+class PlaneCoefficients:
+    """A space whose maps are linear, as numbers: what the fused engine needs of it.
+
+    `weights`: of red and blue in the luminance. `to_p` (2, 2): p from red − green and blue − green.
+    `from_p` (3, 2): what p adds to each channel.
+    """
+
+    weights: tuple[float, float]
+    to_p: tuple[tuple[float, float], ...]
+    from_p: tuple[tuple[float, float], ...]
+
+
+@dataclass(frozen=True)
+class HslCoefficients:
+    """HSL as numbers: p has the direction that `plane` gives it, and another length."""
+
+    plane: PlaneCoefficients
+
+
+#: What the fused engine needs of a space: one type for each kind of maps.
+Coefficients = PlaneCoefficients | HslCoefficients | OklabCoefficients | CielabCoefficients
+
+
+@dataclass(frozen=True)
+class Space:
+    """A blending space: two maps between linear premultiplied RGB and (Y, p), of degree 1.
+
+    `forward`: rgb (3, …), linear, unbounded → Y (…), p (2, …).
+    `inverse`: Y (…), p (2, …) → rgb (3, …).
+    `coefficients`: the same as numbers. `rgb_to_xyz`: of the primaries, white being D65.
+    `hue_axis`: the number that reports give to a hue. `gamut_turn`: the degrees between p vectors
+    that the way back into gamut turns a hue by at most: tried from Rec. 709 to ACEScg, with colours
+    whose channels are not negative.
+    Greys have p = 0 exactly, and p = 0 gives a grey exactly.
+    """
+
+    name: str
+    rgb_to_xyz: Matrix = field(repr=False)
+    forward: Callable[[Array], tuple[Array, Array]] = field(repr=False)
+    inverse: Callable[[Array, Array], Array] = field(repr=False)
+    coefficients: Coefficients = field(repr=False)
+    hue_axis: HueAxis = field(default=HEXAGON, repr=False)
+    gamut_turn: float = 0.0
+
+    @property
+    def linear(self) -> bool:
+        """Whether the maps are: then + of p is + of colours, and ⊕ stays in gamut by itself."""
+        return isinstance(self.coefficients, PlaneCoefficients)
+
+
+def _plane_basis(weights: tuple[float, float, float]) -> NDArray[np.float64]:
+    """(2, 3): an orthonormal basis of the plane w·d = 0, its first axis towards red."""
+    w = np.array(weights)
+    to_red = np.array([1.0, 0.0, 0.0]) - w[0]
+    first = to_red / np.linalg.norm(to_red)
+    second = np.cross(w / np.linalg.norm(w), first)
+    return np.stack([first, second])
+
+
+def _plane(weights: tuple[float, float, float]) -> PlaneCoefficients:
+    """Difference vectors to the grey axis in an orthonormal basis of their plane."""
+    basis = _plane_basis(weights)
+    # The columns of basis · (I − 1 wᵀ) sum to zero, as do those of d: two differences to green
+    # carry all of p, and a grey gives exactly zero whatever its rounding.
+    columns = basis - basis.sum(axis=1, keepdims=True) * np.array(weights)
+    return PlaneCoefficients(
+        weights=(float(weights[0]), float(weights[2])),
+        to_p=tuple((float(row[0]), float(row[2])) for row in columns),
+        from_p=tuple((float(column[0]), float(column[1])) for column in basis.T),
+    )
+
+
+def linear_rgb(rgb_to_xyz: Matrix = REC709_TO_XYZ) -> Space:
+    """The paper's space: difference vectors to the grey axis in linear RGB. Chuang et al. 2009, §4.
+
+    `rgb_to_xyz`: of the primaries, by rows, white being D65 at Y = 1; here as in the other spaces.
+    """
+    return _linear("linear-rgb", rgb_to_xyz, _plane(_weights(rgb_to_xyz)))
+
+
+def xyz(rgb_to_xyz: Matrix = REC709_TO_XYZ) -> Space:
+    """CIE XYZ: p is what X and Z differ by from the grey of the same luminance.
+
+    The hues lie in the same half-planes as in `linear_rgb`, the angles between them and |p| differ.
+    CIE 15:2018.
+    """
+    weights = _weights(rgb_to_xyz)
+    x, y = D65
+    white = x / y, (1 - x - y) / y
+
+    def differences(row: Sequence[float], of_white: float) -> tuple[float, float]:
+        red, blue = (
+            weights[i] * (row[i] / weights[i] - of_white) if weights[i] else row[i] for i in (0, 2)
+        )
+        return red, blue
+
+    red_x, blue_x = differences(rgb_to_xyz[0], white[0])
+    red_z, blue_z = differences(rgb_to_xyz[2], white[1])
+    determinant = red_x * blue_z - blue_x * red_z
+    # What p is in differences to green, and these in channels at Y = 0.
+    red_green = np.array([blue_z, -blue_x]) / determinant
+    blue_green = np.array([-red_z, red_x]) / determinant
+    green = -(weights[0] * red_green + weights[2] * blue_green)
+    columns = (green + red_green, green, green + blue_green)
+    found = PlaneCoefficients(
+        weights=(weights[0], weights[2]),
+        to_p=((red_x, blue_x), (red_z, blue_z)),
+        from_p=tuple((float(column[0]), float(column[1])) for column in columns),
+    )
+    return _linear("xyz", rgb_to_xyz, found)
+
+
+def hsl(rgb_to_xyz: Matrix = REC709_TO_XYZ) -> Space:
+    """The hues of `linear_rgb`, with the chroma of HSL's double cone: |p| = max − min.
+
+    Smith: Color Gamut Transform Pairs, SIGGRAPH 1978, taken of the linear colour.
+    """
+    plane = linear_rgb(rgb_to_xyz)
+    found = _plane(_weights(rgb_to_xyz))
+
+    def forward(rgb: Array) -> tuple[Array, Array]:
+        luminance, p = plane.forward(rgb)
+        return luminance, p * _ratio(rgb.max(axis=0) - rgb.min(axis=0), np.hypot(p[0], p[1]))
+
+    def inverse(luminance: Array, p: Array) -> Array:
+        difference = plane.inverse(np.zeros_like(luminance), p)
+        spread = difference.max(axis=0) - difference.min(axis=0)
+        return luminance + difference * _ratio(np.hypot(p[0], p[1]), spread)
+
+    return Space("hsl", rgb_to_xyz, forward, inverse, HslCoefficients(found))
+
+
+def oklab(rgb_to_xyz: Matrix = REC709_TO_XYZ) -> Space:
+    """Oklab: p = Y·(a, b)/L. Ottosson, A perceptual color space for image processing, 2020."""
+    found = oklab_coefficients(rgb_to_xyz)
+    forward, inverse = partial(oklab_forward, found), partial(oklab_inverse, found)
+    axis = angle_axis("Oklab hue", lambda rgb: forward(rgb)[1])
+    return Space("oklab", rgb_to_xyz, forward, inverse, found, axis, gamut_turn=1.5)
+
+
+def cielab(rgb_to_xyz: Matrix = REC709_TO_XYZ) -> Space:
+    """CIELAB: p = Y·(a*, b*)/L* of the colour scaled to Y = 1. CIE 15:2018, 8.2.1."""
+    found = cielab_coefficients(rgb_to_xyz)
+    forward, inverse = partial(cielab_forward, found), partial(cielab_inverse, found)
+    axis = angle_axis("CIELAB hue", lambda rgb: forward(rgb)[1])
+    return Space("cielab", rgb_to_xyz, forward, inverse, found, axis, gamut_turn=3.5)
+
+
+def _weights(rgb_to_xyz: Matrix) -> tuple[float, float, float]:
+    red, green, blue = rgb_to_xyz[1]
+    return float(red), float(green), float(blue)
+
+
+def _ratio(numerator: Array, denominator: Array) -> Array:
+    """numerator / denominator, and 0 where the denominator is 0."""
+    return np.divide(numerator, denominator, out=np.zeros_like(denominator), where=denominator != 0)
+
+
+def _linear(name: str, rgb_to_xyz: Matrix, found: PlaneCoefficients) -> Space:
+    """The space of these coefficients."""
+
+    def forward(rgb: Array) -> tuple[Array, Array]:
+        red, green, blue = rgb
+        red_green, blue_green = red - green, blue - green
+        w_red, w_blue = found.weights
+        luminance = green + w_red * red_green + w_blue * blue_green
+        p = np.empty((2, *rgb.shape[1:]), rgb.dtype)
+        for axis, (of_red, of_blue) in enumerate(found.to_p):
+            np.multiply(red_green, of_red, out=p[axis])
+            p[axis] += blue_green * of_blue
+        return luminance, p
+
+    def inverse(luminance: Array, p: Array) -> Array:
+        rgb = np.empty((3, *p.shape[1:]), p.dtype)
+        for channel, (of_p0, of_p1) in enumerate(found.from_p):
+            np.multiply(p[0], of_p0, out=rgb[channel])
+            rgb[channel] += p[1] * of_p1
+            rgb[channel] += luminance
+        return rgb
+
+    return Space(name, rgb_to_xyz, forward, inverse, found)
+
+
+#: Each space by its name, as a function of the primaries' RGB→XYZ.
+BUILDERS: dict[str, Callable[[Matrix], Space]] = {
+    "linear-rgb": linear_rgb,
+    "xyz": xyz,
+    "hsl": hsl,
+    "oklab": oklab,
+    "cielab": cielab,
+}
+
+
+def space(name: str, rgb_to_xyz: Matrix = REC709_TO_XYZ) -> Space:
+    """The blending space of that name, for Rec. 709 or the primaries whose RGB→XYZ is given.
+
+    `rgb_to_xyz`: a tuple of three rows, white being D65 at Y = 1.
+    Errors: `SettingError` that lists the valid names.
+    """
+    if name not in BUILDERS:
+        raise unknown_name("blending space", name, BUILDERS)
+    return _built(name, rgb_to_xyz)
+
+
+@cache
+def _built(name: str, rgb_to_xyz: Matrix) -> Space:
+    return BUILDERS[name](rgb_to_xyz)
+
+
+#: The blending spaces by name, for the primaries of Rec. 709.
+SPACES: dict[str, Space] = {name: space(name) for name in BUILDERS}

@@ -1,0 +1,1 @@
+"""Who composites: the contract, the choice, the numpy reference, arrays and deep samples."""

@@ -1,0 +1,264 @@
+"""The chunks of a PNG file: checksums, and what they say of colour and pixel shape. No pixels.
+
+Image libraries ignore damage outside the pixels and disagree about colour chunks; here every
+checksum is verified and each chunk is taken for what the PNG specification (third edition) says.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import BinaryIO
+
+import numpy as np
+
+from ..color.encoding import (
+    HDR_TRANSFERS,
+    LINEAR,
+    PRIMARIES,
+    REC709_CAMERA,
+    SRGB,
+    SRGB_ENCODING,
+    ColorEncoding,
+    Primaries,
+    Transfer,
+    gamma,
+    narrow_range,
+    primaries_from_xy,
+)
+from ..errors import InputError
+from . import iccprofile
+
+SIGNATURE = b"\x89PNG\r\n\x1a\n"
+
+#: Where the data of the first chunk begin, behind its size and kind.
+_FIRST_DATA = len(SIGNATURE) + 8
+#: Chunks whose content is kept; the others are only verified.
+_KEPT = {b"IHDR", b"tRNS", b"gAMA", b"cHRM", b"sRGB", b"iCCP", b"cICP", b"pHYs"}
+#: Those that must be understood.
+_CRITICAL = {b"IHDR", b"PLTE", b"IDAT", b"IEND"}
+_LARGEST = 2**31 - 1
+#: Of the pieces of image data so many are kept at most: 512 MiB, as libpng cuts them.
+MOST_PIECES = 1 << 16
+#: The depths of each colour type: grey, RGB, palette, grey and alpha, RGBA.
+_DEPTHS = {0: (1, 2, 4, 8, 16), 2: (8, 16), 3: (1, 2, 4, 8), 4: (8, 16), 6: (8, 16)}
+#: What a byte of deflated data can unpack to: deflate makes at most 1032 of one.
+_MOST_BITS_OF_A_BYTE = 8 * 1032
+_PIECE_BYTES = 1 << 20
+#: No display profile is larger; a hostile one is not unpacked beyond it.
+_PROFILE_BYTES = 1 << 24
+
+#: ITU-T H.273 code points: colour primaries, transfer curves.
+_CICP_PRIMARIES: dict[int, Primaries] = {
+    1: PRIMARIES["rec709"],
+    9: PRIMARIES["rec2020"],
+    12: PRIMARIES["display-p3"],
+}
+#: The same the other way, for those who write.
+CICP_PRIMARIES = {primaries: code for code, primaries in _CICP_PRIMARIES.items()}
+CICP_SRGB = 13
+_CICP_TRANSFER: dict[int, Transfer] = {
+    1: REC709_CAMERA,
+    6: REC709_CAMERA,
+    8: LINEAR,
+    CICP_SRGB: SRGB,
+    14: REC709_CAMERA,
+    15: REC709_CAMERA,
+    **HDR_TRANSFERS,
+}
+#: Colour types without colour: grey, and grey with alpha.
+_GREY_TYPES = (0, 4)
+_PALETTE = 3
+
+
+@dataclass(frozen=True)
+class PngHeader:
+    """What the chunks around the pixels say.
+
+    `image_data`: offset and size of each IDAT that is not empty; of `MOST_PIECES` + 1 at most.
+    """
+
+    width: int
+    height: int
+    depth: int
+    color_type: int
+    interlaced: bool
+    image_data: tuple[tuple[int, int], ...] = field(repr=False)
+    chunks: dict[bytes, bytes] = field(repr=False)
+
+    @property
+    def pixels_per_metre(self) -> tuple[int, int] | None:
+        """pHYs where it has a unit."""
+        density = self.chunks.get(b"pHYs", b"")
+        if len(density) != 9 or density[8] != 1:
+            return None
+        x, y = struct.unpack(">II", density[:8])
+        return (x, y) if x and y else None
+
+    @property
+    def pixel_aspect(self) -> float:
+        """Width of a pixel over its height."""
+        density = self.chunks.get(b"pHYs", b"")
+        x, y = struct.unpack(">II", density[:8]) if len(density) == 9 else (1, 1)
+        return y / x if x and y else 1.0
+
+    @property
+    def icc_profile(self) -> str:
+        """What the ICC profile calls itself, or the file the profile; empty where there is none."""
+        name = self.chunks.get(b"iCCP", b"").partition(b"\0")[0].decode("latin-1")
+        try:
+            return iccprofile.description(_profile(self)) or name
+        except ValueError:
+            return name
+
+    def color(self) -> tuple[ColorEncoding, str, list[str]]:
+        """(encoding, what it was read from, what cannot be honoured).
+
+        Precedence: cICP, iCCP, sRGB, gAMA and cHRM, else sRGB. What is not honoured falls through
+        to the next. PNG specification, third edition, 4.3.
+        """
+        problems: list[str] = []
+        for chunk, reader in _COLOR_CHUNKS:
+            if chunk in self.chunks:
+                try:
+                    return reader(self), _SOURCES[chunk], problems
+                except ValueError as reason:
+                    problems.append(str(reason))
+        return SRGB_ENCODING, "default", problems
+
+
+def _from_cicp(header: PngHeader) -> ColorEncoding:
+    data = header.chunks[b"cICP"]
+    if len(data) != 4:
+        raise ValueError("a cICP chunk that is not 4 bytes long")
+    primaries, transfer, matrix, full_range = data
+    if matrix or primaries not in _CICP_PRIMARIES or transfer not in _CICP_TRANSFER:
+        raise ValueError(f"cICP {primaries}/{transfer}/{matrix}/{full_range}")
+    curve = _CICP_TRANSFER[transfer]
+    if not full_range and curve not in HDR_TRANSFERS.values():
+        # The entries of a palette have 8 bits, however many its indices have.
+        curve = narrow_range(curve, 8 if header.color_type == _PALETTE else header.depth)
+    return ColorEncoding(curve, _CICP_PRIMARIES[primaries])
+
+
+def _profile(header: PngHeader) -> bytes:
+    """The ICC profile, unpacked; `ValueError` where that fails."""
+    _, _, rest = header.chunks.get(b"iCCP", b"").partition(b"\0")
+    try:
+        return zlib.decompressobj().decompress(rest[1:], _PROFILE_BYTES)
+    except zlib.error:
+        raise ValueError("an ICC profile that does not decompress") from None
+
+
+def _from_iccp(header: PngHeader) -> ColorEncoding:
+    profile = _profile(header)
+    try:
+        return iccprofile.encoding(profile, header.color_type in _GREY_TYPES)
+    except ValueError as reason:
+        raise ValueError(f"the ICC profile '{header.icc_profile}' ({reason})") from None
+
+
+def _from_srgb(header: PngHeader) -> ColorEncoding:
+    return SRGB_ENCODING
+
+
+def _from_gama_chrm(header: PngHeader) -> ColorEncoding:
+    chunks = header.chunks
+    transfer, primaries = SRGB, SRGB_ENCODING.primaries
+    if b"gAMA" in chunks:
+        data = chunks[b"gAMA"]
+        exponent = struct.unpack(">I", data)[0] if len(data) == 4 else 0
+        if not exponent:
+            raise ValueError("a gAMA chunk that is zero or not 4 bytes long")
+        transfer = gamma(100000 / exponent)
+    if b"cHRM" in chunks:
+        data = chunks[b"cHRM"]
+        if len(data) != 32:
+            raise ValueError("a cHRM chunk that is not 32 bytes long")
+        white, *rgb = np.array(struct.unpack(">8i", data)).reshape(4, 2) / 100000
+        primaries = primaries_from_xy([*rgb, white])
+    return ColorEncoding(transfer, primaries)
+
+
+_COLOR_CHUNKS = (
+    (b"cICP", _from_cicp),
+    (b"iCCP", _from_iccp),
+    (b"sRGB", _from_srgb),
+    (b"gAMA", _from_gama_chrm),
+    (b"cHRM", _from_gama_chrm),
+)
+_SOURCES = {
+    b"cICP": "cICP",
+    b"iCCP": "iCCP",
+    b"sRGB": "sRGB chunk",
+    b"gAMA": "gAMA and cHRM",
+    b"cHRM": "gAMA and cHRM",
+}
+
+
+def read_header(path: str) -> PngHeader:
+    """Walks a PNG from its signature to IEND, checking every chunk's CRC.
+
+    Errors: `InputError` (without the file's name) that says which chunk is damaged or missing.
+    """
+    kept: dict[bytes, bytes] = {}
+    image_data: list[tuple[int, int]] = []
+    image_bytes = 0
+    with open(path, "rb") as file:
+        if file.read(8) != SIGNATURE:
+            raise InputError("not a PNG file: its signature is damaged")
+        for kind, data, offset, size in _chunks(file):
+            if kind[:1].isupper() and kind not in _CRITICAL:
+                raise InputError(f"{_shown(kind)} must be understood and is not")
+            if (kind == b"IHDR") != (offset == _FIRST_DATA):
+                raise InputError(f"damaged PNG: {_shown(kind)} is out of place")
+            if kind == b"IDAT" and size:
+                image_bytes += size
+                if len(image_data) <= MOST_PIECES:
+                    image_data.append((offset, size))
+            if kind in _KEPT and kind not in kept:
+                kept[kind] = data
+    if len(kept.get(b"IHDR", b"")) != 13 or not image_data:
+        raise InputError("damaged PNG: it has no image data")
+    width, height, depth, color_type, deflate, filters, interlace = struct.unpack(
+        ">IIBBBBB", kept[b"IHDR"]
+    )
+    if not (1 <= width <= _LARGEST and 1 <= height <= _LARGEST):
+        raise InputError(f"damaged PNG: it has {width}x{height} pixels")
+    if depth not in _DEPTHS.get(color_type, ()) or (deflate, filters) != (0, 0) or interlace > 1:
+        raise InputError("damaged PNG: its header describes no kind of PNG that there is")
+    # With several channels it would be more yet.
+    if width * height * depth > _MOST_BITS_OF_A_BYTE * image_bytes:
+        raise InputError(f"damaged PNG: its image data are too few for {width}x{height} pixels")
+    return PngHeader(width, height, depth, color_type, interlace == 1, tuple(image_data), kept)
+
+
+def _chunks(file: BinaryIO) -> Iterator[tuple[bytes, bytes, int, int]]:
+    """Kind, data where they are kept, and offset and size of the data."""
+    kind, at = b"", len(SIGNATURE)
+    while kind != b"IEND":
+        head = file.read(8)
+        if len(head) < 8:
+            raise InputError("truncated PNG: it ends before its IEND chunk")
+        size, kind = struct.unpack(">I4s", head)
+        left = size
+        checksum = zlib.crc32(kind)
+        data = b""
+        while left:
+            piece = file.read(min(left, _PIECE_BYTES))
+            if not piece:
+                raise InputError(f"truncated PNG: it ends inside {_shown(kind)}")
+            checksum = zlib.crc32(piece, checksum)
+            left -= len(piece)
+            if kind in _KEPT:
+                data += piece
+        if file.read(4) != struct.pack(">I", checksum):
+            raise InputError(f"damaged PNG: the checksum of {_shown(kind)} is wrong")
+        yield kind, data, at + 8, size
+        at += 12 + size
+
+
+def _shown(kind: bytes) -> str:
+    return f"its {kind.decode()} chunk" if kind.isalpha() and kind.isascii() else "a chunk"

@@ -1,0 +1,123 @@
+"""How a stack is written down: the LAYER syntax of the command line. Reads no file."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from ..blending.porter_duff import operator
+from ..color.encoding import ALPHA_MODES, color_space, parse_hex_color
+from ..errors import SettingError, unknown_name
+from ..geometry import Placement, parse_placement
+
+
+@dataclass(frozen=True)
+class LayerSpec:
+    """One layer of a stack and its settings; None leaves a setting to the file or to the stack.
+
+    `path`: a file, or `-` for stdin. `op`: an operator's name. `opacity`: 0 to 1.
+    `at`: `+X+Y`, or a gravity with an optional offset: where the display window goes.
+    `alpha`: one of `encoding.ALPHA_MODES`. `colorspace`: a name of `encoding.COLOR_SPACES`.
+    `tint`: a CSS hex colour for a grey or single-channel mask, whose stored values are the alpha.
+    `part`: name or index in a multi-part EXR. `layer`: the prefix of layered channel names, of a
+    mask also the name of a channel. `name`: what reports and errors call it.
+    Errors: `SettingError`.
+    """
+
+    path: str
+    op: str | None = None
+    opacity: float = 1.0
+    at: str | None = None
+    alpha: str | None = None
+    colorspace: str | None = None
+    tint: str | None = None
+    part: str | None = None
+    layer: str | None = None
+    name: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.op is not None:
+            operator(self.op)
+        if not 0 <= self.opacity <= 1:
+            raise SettingError(f"opacity {self.opacity:g} is outside 0 to 1")
+        if self.alpha is not None and self.alpha not in ALPHA_MODES:
+            raise unknown_name("alpha", self.alpha, ALPHA_MODES)
+        if self.colorspace is not None:
+            color_space(self.colorspace)
+        if self.tint is not None:
+            parse_hex_color(self.tint)
+            if self.colorspace is not None and self.alpha != "luminance":
+                raise SettingError(
+                    "a mask with a tint says how much it covers, not how bright it is, so "
+                    f"colorspace={self.colorspace} changes nothing: leave it out, or add "
+                    "alpha=luminance"
+                )
+        _ = self.placement
+
+    @property
+    def placement(self) -> Placement | None:
+        return None if self.at is None else parse_placement(self.at)
+
+    @property
+    def title(self) -> str:
+        """What reports call the layer."""
+        return self.name or ("stdin" if self.path == "-" else self.path)
+
+    def label(self, number: int) -> str:
+        """How errors name the layer, such as `layer 3 (leaf.png)`."""
+        shown = "stdin" if self.path == "-" else self.path
+        return f"layer {number} ({self.name + ': ' if self.name else ''}{shown})"
+
+
+def _opacity(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        raise SettingError(f"opacity '{text}' is not a number from 0 to 1") from None
+
+
+#: The keys of a LAYER: what turns the text after `=` into the setting.
+LAYER_KEYS: dict[str, Callable[[str], Any]] = {
+    "op": str,
+    "opacity": _opacity,
+    "at": str,
+    "alpha": str,
+    "colorspace": str,
+    "tint": str,
+    "part": str,
+    "layer": str,
+    "name": str,
+}
+
+
+def parse_layer(text: str) -> LayerSpec:
+    """A layer from `PATH[::key=value[,key=value]...]`.
+
+    The last `::` splits, unless the whole text is an existing file.
+    Errors: `SettingError` for an unknown or repeated key and for an opacity out of range.
+    """
+    path, separator, settings = text.rpartition("::")
+    if not separator or os.path.exists(text):
+        return LayerSpec(text)
+    if not path:
+        raise SettingError(f"'{text}' names no file before its ::")
+    found: dict[str, Any] = {}
+    for setting in filter(None, settings.split(",")):
+        key, equals, value = setting.partition("=")
+        if not equals or not value:
+            raise SettingError(f"'{setting}' in '{text}' is not key=value")
+        if key not in LAYER_KEYS:
+            raise unknown_name("layer key", key, LAYER_KEYS)
+        if key in found:
+            raise SettingError(f"key '{key}' stands twice in '{text}'")
+        found[key] = LAYER_KEYS[key](value)
+    return LayerSpec(path, **found)
+
+
+def layer_spec(layer: LayerSpec | str | os.PathLike[str]) -> LayerSpec:
+    """A layer from LAYER syntax, from a path object (taken whole), or as it is."""
+    if isinstance(layer, LayerSpec):
+        return layer
+    return parse_layer(layer) if isinstance(layer, str) else LayerSpec(os.fspath(layer))

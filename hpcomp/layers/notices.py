@@ -1,0 +1,75 @@
+"""What a run warns of: inputs that cannot be honoured, pixels that were lost."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+
+from ..blending.rules import StackRules
+from ..color.encoding import LARGEST_HALF, Losses
+from ..errors import HpcompWarning, InputError, InputWarning, MismatchError, one_line
+from ..imagefile.deepreading import DeepReader
+from ..imagefile.reading import LayerReader
+
+
+class Notices:
+    """Where warnings go: Python's `warnings`, or errors where the run is strict."""
+
+    def __init__(self, strict: bool) -> None:
+        self.strict = strict
+
+    def warn(self, message: str, category: type[HpcompWarning] = HpcompWarning) -> None:
+        """Warns, or raises the error that the warning's category stands for."""
+        message = one_line(message)
+        if self.strict:
+            error = InputError if issubclass(category, InputWarning) else MismatchError
+            raise error(f"{message} (an error with --strict)")
+        warnings.warn(message, category, stacklevel=3)
+
+
+def warn_of_layers(rules: StackRules, readers: Sequence[LayerReader], notices: Notices) -> None:
+    for operator, reader in zip(rules.operators, readers, strict=True):
+        warn_of_problems(reader, notices)
+        if operator is not None and operator.needs_alpha and not reader.has_alpha:
+            notices.warn(
+                f"{reader.label} has no alpha, so '{operator.name}' does nothing useful with it: "
+                "alpha=luminance makes one of its light"
+            )
+        if reader.part.pixel_aspect != readers[0].part.pixel_aspect:
+            notices.warn(
+                f"{reader.label} has pixels of aspect {reader.part.pixel_aspect:g}, the bottom "
+                f"layer of {readers[0].part.pixel_aspect:g}: resample it first"
+            )
+
+
+def warn_of_problems(reader: LayerReader | DeepReader, notices: Notices) -> None:
+    for problem in reader.problems:
+        notices.warn(f"{reader.label}: {problem}; read as {reader.decoding.encoding}", InputWarning)
+
+
+def warn_of_zeroed(readers: Sequence[LayerReader], notices: Notices) -> None:
+    for reader in readers:
+        if reader.zeroed_pixels:
+            notices.warn(
+                f"{reader.label}: {_count(reader.zeroed_pixels)} NaN or infinite "
+                "and became transparent"
+            )
+
+
+def warn_of_losses(label: str, losses: Losses, notices: Notices) -> None:
+    for count, what in (
+        (losses.out_of_gamut, "outside the gamut and lost saturation or brightness: "
+                              "write EXR or wider --out-primaries to keep them, "
+                              "or lower --exposure"),
+        (losses.light_without_alpha, "light without alpha, which PNG cannot hold: "
+                                     "put a --background under them, or write EXR"),
+        (losses.not_a_number, "NaN and became transparent"),
+        (losses.beyond_half, f"beyond what half-floats hold and became {LARGEST_HALF:g}: "
+                             "write --depth float"),
+    ):  # fmt: skip
+        if count:
+            notices.warn(f"{label}: {_count(count)} {what}")
+
+
+def _count(pixels: int) -> str:
+    return "1 pixel is" if pixels == 1 else f"{pixels} pixels are"

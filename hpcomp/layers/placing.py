@@ -1,0 +1,187 @@
+"""The layers of a stack, opened and placed on their canvas."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..blending.rules import StackRules, stack_rules
+from ..color.encoding import (
+    BOTTOM,
+    REC709,
+    WORKING_PRIMARIES,
+    converted,
+    parse_hex_color,
+    working_primaries,
+)
+from ..color.samples import Strip
+from ..errors import SettingError, unknown_name
+from ..geometry import Window
+from ..imagefile.reading import NONFINITE_POLICIES, LayerReader
+from ..imagefile.seekable import STDIN
+from .canvas import LayerWindows, lay_out, parse_canvas
+from .layerspec import LayerSpec, layer_spec
+from .notices import Notices, warn_of_layers
+from .opening import opened_layer
+
+Layer = LayerSpec | str | os.PathLike[str]
+
+#: Files that are open beside the layers: libraries, the output, the standard streams.
+OTHER_OPEN_FILES = 64
+
+
+#: A layer without pixels in a strip: transparent all over.
+NOTHING = Strip(np.zeros((0, 0, 4), np.float32))
+
+
+@dataclass(frozen=True)
+class PlacedLayer:
+    """An open layer and how far its file's coordinates move to the canvas."""
+
+    reader: LayerReader
+    dx: int
+    dy: int
+
+    @property
+    def window(self) -> Window:
+        """Its pixels, in canvas coordinates."""
+        return self.reader.window.moved(self.dx, self.dy)
+
+    def read(self, rows: Window) -> Strip:
+        """What the layer has of `rows` of the canvas, `NOTHING` where it has nothing there."""
+        common = self.window.intersection(rows)
+        if common is None:
+            return NOTHING
+        begin = common.y - self.dy
+        samples = self.reader.read_samples(begin, begin + common.height)
+        return Strip(samples, self.reader.decoding, self.window.x - rows.x, common.y - rows.y)
+
+
+@dataclass(frozen=True)
+class PlacedStack:
+    """Open layers, bottom first, on their canvas.
+
+    `rules`: those that were asked for, in the working primaries that the layers are read in.
+    """
+
+    rules: StackRules
+    canvas: Window
+    layers: tuple[PlacedLayer, ...]
+
+
+def layer_specs(layers: Sequence[Layer]) -> list[LayerSpec]:
+    """Every layer's settings, in the order given; `SettingError` names the layer."""
+    return [_numbered(number, layer) for number, layer in enumerate(layers)]
+
+
+def _numbered(number: int, layer: Layer) -> LayerSpec:
+    try:
+        return layer_spec(layer)
+    except SettingError as problem:
+        raise SettingError(f"layer {number} ({layer}): {problem}") from None
+
+
+def rules_of(
+    specs: Sequence[LayerSpec],
+    op: str,
+    blending: str,
+    order: str | Sequence[int],
+    space: str,
+    hue_tolerance: float,
+    background: str | Sequence[float] | None,
+    exposure: float,
+    primaries: str,
+    *,
+    gray_bias: float = 0.0,
+) -> StackRules:
+    """The rules of a stack of these layers, whose own settings go first. Errors: `SettingError`.
+
+    Of `bottom` they are in Rec. 709: `opened_stack` knows better.
+    """
+    if primaries not in (*WORKING_PRIMARIES, BOTTOM):
+        raise unknown_name("primaries", primaries, [*WORKING_PRIMARIES, BOTTOM])
+    name = REC709.name if primaries == BOTTOM else primaries
+    color = background
+    if isinstance(color, str):
+        hex_color = np.array(parse_hex_color(color))
+        color = converted(hex_color, REC709, working_primaries(name)).tolist()
+    return stack_rules(
+        len(specs),
+        op=[spec.op or (op if number else None) for number, spec in enumerate(specs)],
+        opacity=[spec.opacity for spec in specs],
+        blending=blending,
+        order=order,
+        space=space,
+        hue_tolerance=hue_tolerance,
+        gray_bias=gray_bias,
+        background=color,
+        exposure=exposure,
+        primaries=name,
+    )
+
+
+@contextlib.contextmanager
+def opened_stack(
+    specs: Sequence[LayerSpec],
+    rules: StackRules,
+    *,
+    primaries: str,
+    canvas: str | Window,
+    nonfinite: str,
+    notices: Notices,
+) -> Iterator[PlacedStack]:
+    """The layers opened and placed as `stack` does, with its warnings; closed at the end.
+
+    `primaries`: as asked for in `rules_of`; of `bottom`, the rules are put into those found.
+    Errors: `SettingError`, `InputError`, `MismatchError`.
+    """
+    wanted = parse_canvas(canvas)
+    if nonfinite not in NONFINITE_POLICIES:
+        raise unknown_name("nonfinite policy", nonfinite, NONFINITE_POLICIES)
+    if [spec.path for spec in specs].count(STDIN) > 1:
+        raise SettingError("stdin can be only one of the layers")
+    with contextlib.ExitStack() as opened:
+        _allow_open_files(len(specs))
+        readers = [
+            opened.enter_context(opened_layer(spec, spec.label(number), nonfinite))
+            for number, spec in enumerate(specs)
+        ]
+        if primaries == BOTTOM:
+            rules = rules.in_primaries(readers[0].decoding.encoding.primaries)
+        for reader in readers:
+            reader.work_in(rules.primaries)
+        warn_of_layers(rules, readers, notices)
+        window, placed = _placed(specs, readers, wanted)
+        yield PlacedStack(rules, window, tuple(placed))
+
+
+def _allow_open_files(layers: int) -> None:
+    """Raises the limit on open files to what a stack of so many layers needs, where it may be."""
+    try:
+        import resource
+    except ImportError:
+        return  # not a Unix: no such limit
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    wanted = layers + OTHER_OPEN_FILES
+    if soft != resource.RLIM_INFINITY and soft < wanted:
+        allowed = wanted if hard == resource.RLIM_INFINITY else min(wanted, hard)
+        resource.setrlimit(resource.RLIMIT_NOFILE, (max(soft, allowed), hard))
+
+
+def _placed(
+    specs: Sequence[LayerSpec], readers: Sequence[LayerReader], canvas: str | Window
+) -> tuple[Window, list[PlacedLayer]]:
+    """The canvas, and the layers on it."""
+    found = lay_out(
+        [
+            LayerWindows(r.label, r.part.display_window, r.window, spec.placement)
+            for spec, r in zip(specs, readers, strict=True)
+        ],
+        canvas,
+    )
+    layers = [PlacedLayer(r, *offset) for r, offset in zip(readers, found.offsets, strict=True)]
+    return found.window, layers

@@ -1,0 +1,133 @@
+"""What a report of a stack is made from: its measures, and the hue histograms beside them.
+
+The reference, in numpy; the kernel finds the same. Parts of a picture add up to the whole.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..blending.rules import StackRules
+from ..color.encoding import Losses, Primaries
+from ..color.samples import Samples, Strip, cropped, linear_rgba, spread
+from .histogram import DEFAULT_BINS, HueHistogram, hue_histogram
+from .labels import (
+    BLOCK_PIXELS,
+    MeasureSettings,
+    Provenance,
+    StackMeasures,
+    Sums,
+    contributors,
+    measured,
+    summed,
+)
+
+Array = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class StackFindings(Sums):
+    """The findings of a stack or of a part of it; `a + b` are those of both parts.
+
+    `layers`: the histogram of each layer, bottom first, at its opacity and as far as it lies on the
+    canvas. `result` and `traditional`: of the stack as it is blended and by plain +, over the
+    background and before the exposure.
+    """
+
+    measures: StackMeasures
+    layers: tuple[HueHistogram, ...]
+    result: HueHistogram
+    traditional: HueHistogram
+
+    @staticmethod
+    def none(rules: StackRules, settings: MeasureSettings, bins: int) -> StackFindings:
+        """The findings of no pixel, to add others to."""
+        empty = HueHistogram.empty(bins, rules.space.name, settings.achromatic)
+        return StackFindings(
+            StackMeasures.none(rules, settings), (empty,) * len(rules.operators), empty, empty
+        )
+
+
+def findings_of(
+    rules: StackRules,
+    settings: MeasureSettings,
+    layers: Sequence[Array],
+    bins: int = DEFAULT_BINS,
+) -> tuple[StackFindings, Provenance]:
+    """The findings of some pixels, and their provenance.
+
+    `layers`: (layers, pixels, 4) float32, linear, premultiplied, placed, alpha in [0, 1].
+    """
+    measures, provenance = measured(rules, settings, layers)
+    total = StackFindings.none(rules, settings, bins)
+    for begin in range(0, len(layers[0]), BLOCK_PIXELS):
+        block = [layer[begin : begin + BLOCK_PIXELS] for layer in layers]
+        with np.errstate(all="ignore"):  # NaN and Inf are counted, not judged
+            total += _histograms(rules, settings, block, bins)
+    return StackFindings(measures, total.layers, total.result, total.traditional), provenance
+
+
+@dataclass(frozen=True)
+class MeasuredStrip:
+    """All layers of a strip, bottom first, and what is to be found of them.
+
+    `width`, `height`: of the strip, in pixels. `with_provenance`: whether that is wanted.
+    """
+
+    rules: StackRules
+    settings: MeasureSettings
+    bins: int
+    strips: Sequence[Strip]
+    width: int
+    height: int
+    with_provenance: bool = False
+
+
+def findings(strip: MeasuredStrip) -> tuple[StackFindings, Provenance | None]:
+    """The findings of a strip, and its provenance planes (height, width) where they are wanted."""
+    layers = []
+    for layer in strip.strips:
+        inside = cropped(layer, strip.width, strip.height)
+        rgba, _ = linear_rgba(inside)
+        layers.append(spread(rgba, inside.left, inside.top, strip.width, strip.height))
+    found, provenance = findings_of(strip.rules, strip.settings, layers, strip.bins)
+    if not strip.with_provenance:
+        return found, None
+    planes = (plane.reshape(strip.height, strip.width) for plane in vars(provenance).values())
+    return found, Provenance(*planes)
+
+
+def result_and_findings(
+    accumulator: Any, kind: str, losses: Losses, gamut: Primaries, strip: MeasuredStrip
+) -> tuple[Samples, StackFindings, Provenance | None]:
+    """The samples of the accumulated strip, and its findings."""
+    samples: Samples = accumulator.result(kind, losses, gamut)
+    return samples, *findings(strip)
+
+
+def _histograms(
+    rules: StackRules, settings: MeasureSettings, layers: Sequence[Array], bins: int
+) -> StackFindings:
+    def counted(rgba: Any) -> HueHistogram:
+        return hue_histogram(rgba, bins=bins, space=rules.space, achromatic=settings.achromatic)
+
+    pixels = contributors(rules, layers)
+    opacities = np.array(rules.opacities, np.float32)
+    alpha = pixels.alpha[pixels.known]
+    results = []
+    for p in (pixels.reduced(rules), pixels.plain(rules)):
+        # What cannot be measured is still a pixel of the picture.
+        rgba = np.full((len(pixels.known), 4), np.nan, np.float32)
+        rgb = rules.space.inverse(summed(pixels.luminance), p)
+        rgba[pixels.known] = np.concatenate([rgb, alpha[None]]).T
+        results.append(counted(rgba))
+    return StackFindings(
+        StackMeasures.none(rules, settings),
+        tuple(counted(rgba * opacity) for rgba, opacity in zip(layers, opacities, strict=True)),
+        *results,
+    )

@@ -1,0 +1,568 @@
+"""What blending did to the labels of a stack, in numbers: measured pixel by pixel and summed.
+
+A measure looks at the terms `t_i = w_i p_i` that a stack is reduced from, the background being one
+more, and at the chroma p that came of them: before it is quantised, and before the exposure.
+All tolerances are angles between p vectors. Sums are integers, so that parts of a picture add up
+to exactly the whole. No files here; planes first, as in `terms`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from functools import reduce
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..blending.addition import ROUNDING_ANGLE, sum_traditional
+from ..blending.orders import ORDERS
+from ..blending.rules import StackRules, stack_rules
+from ..blending.terms import weighted
+from ..color.gamut import bounds_of, colors_within
+from ..errors import MismatchError, SettingError
+from .histogram import DEFAULT_ACHROMATIC, LARGEST_ADDEND, SUM_UNIT
+
+Array = NDArray[np.float32]
+Mask = NDArray[np.bool_]
+
+#: Pixels with anything beyond this are left out, as NaN is: the square of it still is a float.
+LARGEST_MEASURED = 2.0**60
+
+#: Pixels that are measured at a time, so that their planes stay in cache.
+BLOCK_PIXELS = 1 << 14
+
+#: Half a code value of an 8-bit output, and of what counts as exact: 16 bits and floats.
+HALF_STEP_8_BIT = 0.5 / 255
+HALF_STEP_FINE = 0.5 / 65535
+
+#: Share of each primary in the power of a white pixel of an emissive display: an estimate. Such
+#: displays take power in proportion to linear RGB (Dong and Zhong 2012, Power Modeling and
+#: Optimization for OLED Displays); the blue emitter needs most and the green one least on the
+#: panels that were measured, how much so differs from panel to panel.
+ENERGY_WEIGHTS = 0.30, 0.25, 0.45
+
+
+def half_step(kind: str) -> float:
+    """Half a step of an output whose samples are of that kind of `samples.OUTPUT_TYPES`."""
+    return HALF_STEP_8_BIT if kind == "uint8" else HALF_STEP_FINE
+
+
+@dataclass(frozen=True)
+class MeasureSettings:
+    """What counts in a measure.
+
+    `half_step`: a term contributes, and a result has chroma, above this |p|. `achromatic`: a result
+    of less saturation is grey. `foreign_tolerance`: in degrees; a hue that is farther from another
+    is foreign to it.
+    """
+
+    half_step: float
+    achromatic: float
+    foreign_tolerance: float
+
+
+def measure_settings(
+    rules: StackRules,
+    *,
+    half_step: float = HALF_STEP_FINE,
+    achromatic: float = DEFAULT_ACHROMATIC,
+    foreign_tolerance: float | None = None,
+) -> MeasureSettings:
+    """The settings, checked; the foreign tolerance is 2τ of the stack if it is not given.
+
+    At τ = 0 that is what rounding turns a hue by, and in some spaces the way back into gamut turns
+    it as well. Errors: `SettingError`.
+    """
+    if foreign_tolerance is None:
+        turn = max(2 * rules.hue_tolerance, math.degrees(ROUNDING_ANGLE))
+        foreign_tolerance = turn + rules.space.gamut_turn
+    for what, value, most in (
+        ("half step", half_step, 1),
+        ("achromatic saturation", achromatic, 1),
+        ("foreign tolerance", foreign_tolerance, 180),
+    ):
+        if not 0 <= value <= most:
+            raise SettingError(f"{what} {value:g} is outside 0 to {most}")
+    return MeasureSettings(float(half_step), float(achromatic), float(foreign_tolerance))
+
+
+def check_energy_weights(weights: Sequence[float]) -> tuple[float, float, float]:
+    """Weights of red, green and blue as floats; `SettingError` unless 3, finite and ≥ 0."""
+    found = tuple(float(weight) for weight in weights)
+    if len(found) != 3 or not all(0 <= weight < math.inf for weight in found):
+        raise SettingError(
+            f"energy weights {','.join(f'{weight:g}' for weight in found)} are not three numbers "
+            "from 0 up: give one for red, green and blue"
+        )
+    return found
+
+
+# --- sums -----------------------------------------------------------------------------------------
+
+
+def share(part: float, whole: float) -> float:
+    """part / whole, and 0 where there is nothing."""
+    return part / whole if whole else 0.0
+
+
+@dataclass(frozen=True)
+class Sums:
+    """Integers, tuples of them and other sums that add up field by field."""
+
+    def __add__(self, other: Self) -> Self:
+        if not isinstance(other, type(self)):
+            return NotImplemented
+        values = {}
+        for field in fields(self):
+            a, b = getattr(self, field.name), getattr(other, field.name)
+            values[field.name] = _added(a, b)
+        return type(self)(**values)
+
+
+def _added(a: Any, b: Any) -> Any:
+    if isinstance(a, tuple):
+        return tuple(x + y for x, y in zip(a, b, strict=True))
+    if isinstance(a, MeasureSettings):
+        if a != b:
+            raise SettingError(f"measures of {a} and of {b} do not add up")
+        return a
+    return a + b
+
+
+@dataclass(frozen=True)
+class ContributorMeasures(Sums):
+    """What became of one layer, or of the background.
+
+    `pixels`: where it contributes. `survived`: those of them where the result has its hue.
+    `chroma`: Σ|t| of all pixels, and `kept` what of it is in the result, in `SUM_UNIT`.
+    """
+
+    pixels: int = 0
+    survived: int = 0
+    chroma: int = 0
+    kept: int = 0
+
+    @property
+    def survived_share(self) -> float:
+        """The share of its pixels in which its hue survived."""
+        return share(self.survived, self.pixels)
+
+    @property
+    def lost(self) -> float:
+        """The share of its chroma that blending cancelled."""
+        return share(self.chroma - self.kept, self.chroma)
+
+
+@dataclass(frozen=True)
+class ResultMeasures(Sums):
+    """One way to reduce the terms, measured against them.
+
+    `chromatic`: pixels that have a hue, `chroma` their Σ|p| in `SUM_UNIT`; `foreign` and
+    `foreign_chroma`: those of them whose hue is nobody's. `layers`: bottom first. `background`:
+    all 0 where there is none. `light`: Σ max(c, 0) over black of red, green and blue.
+    """
+
+    layers: tuple[ContributorMeasures, ...]
+    background: ContributorMeasures = ContributorMeasures()
+    chromatic: int = 0
+    chroma: int = 0
+    foreign: int = 0
+    foreign_chroma: int = 0
+    light: tuple[int, int, int] = (0, 0, 0)
+
+    @property
+    def foreign_share(self) -> float:
+        """The share of chromatic pixels whose hue is nobody's."""
+        return share(self.foreign, self.chromatic)
+
+    @property
+    def foreign_chroma_share(self) -> float:
+        """The same, each pixel weighted by its chroma."""
+        return share(self.foreign_chroma, self.chroma)
+
+    @property
+    def lost(self) -> float:
+        """Lost to grey: the share of all chroma that blending cancelled."""
+        whole = sum(self.layers, self.background)
+        return whole.lost
+
+    def energy(self, weights: Sequence[float] = ENERGY_WEIGHTS) -> float:
+        """An estimate of what an emissive display takes for the picture; 1 is a white pixel.
+
+        `weights`: of red, green and blue, three numbers ≥ 0.
+        """
+        checked = check_energy_weights(weights)
+        return SUM_UNIT * sum(w * c for w, c in zip(checked, self.light, strict=True))
+
+
+@dataclass(frozen=True)
+class StackMeasures(Sums):
+    """The measures of a stack, of one picture or a part of it: `a + b` are those of both parts.
+
+    `pixels`: all of them; `unmeasured`: with NaN, infinite or beyond `LARGEST_MEASURED`, left out
+    of the rest. `result`: by the blending and order of the stack; `traditional`: by plain +.
+    `order_sensitive`: chromatic pixels of which another layer survives top-down than bottom-up.
+    """
+
+    settings: MeasureSettings
+    result: ResultMeasures
+    traditional: ResultMeasures
+    pixels: int = 0
+    unmeasured: int = 0
+    order_sensitive: int = 0
+
+    @staticmethod
+    def none(rules: StackRules, settings: MeasureSettings) -> StackMeasures:
+        """The measures of no pixel, to add others to."""
+        nothing = ResultMeasures((ContributorMeasures(),) * len(rules.operators))
+        return StackMeasures(settings, nothing, nothing)
+
+    @property
+    def order_sensitivity(self) -> float:
+        """The share of chromatic pixels whose surviving layer depends on the order."""
+        return share(self.order_sensitive, self.result.chromatic)
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """Where each pixel's hue comes from, (pixels) each.
+
+    `layer`: uint32, the number plus 1 of the layer whose hue survived, 0 for none: that of the
+    largest |t| among those within the foreign tolerance of the result. `grey`: 1 − |p| / Σ|t|, the
+    share of chroma that is cancelled. `margin`: 1 − runner-up / winner, the runner-up being the
+    largest |t| of another hue than the winner's, 0 where there is none: so 1 is unrivalled, and
+    below 0 a stronger term was cancelled by others before it met the winner, or lay behind it. 0
+    without a winner.
+    """
+
+    layer: NDArray[np.uint32]
+    grey: Array
+    margin: Array
+
+    @staticmethod
+    def none(shape: tuple[int, ...]) -> Provenance:
+        """That of pixels in which nothing is."""
+        return Provenance(
+            np.zeros(shape, np.uint32), np.zeros(shape, np.float32), np.zeros(shape, np.float32)
+        )
+
+
+# --- pixels ---------------------------------------------------------------------------------------
+
+
+def stack_measures(layers: Sequence[ArrayLike], **settings: Any) -> StackMeasures:
+    """Measures what compositing does to the hues of layers, bottom first.
+
+    `layers`: arrays (…, 4) of one shape; linear, premultiplied RGBA; measured in float32.
+    `settings`: the rules of `composite` under the same names, and
+      `half_step` 0.5/65535: |p| above which a term contributes and a result has chroma;
+      `achromatic` 0.02: saturation in [0, 1] below which a result is grey;
+      `foreign_tolerance` twice `hue_tolerance`, and the space's `gamut_turn` more: degrees between
+        p vectors.
+    Returns: the `StackMeasures`, of which those of several strips can be added.
+    Errors: `SettingError` for a setting, `MismatchError` for layers of different shapes.
+    Source: the measures are this project's; the operator is of Chuang et al. 2009.
+    """
+    own = {
+        name: settings.pop(name)
+        for name in ("half_step", "achromatic", "foreign_tolerance")
+        if name in settings
+    }
+    rules = stack_rules(len(layers), **settings)
+    checked = measure_settings(rules, **own)
+    arrays = [np.asarray(layer) for layer in layers]
+    for number, array in enumerate(arrays):
+        if array.shape != arrays[0].shape or array.ndim == 0 or array.shape[-1] != 4:
+            raise MismatchError(
+                f"layer {number} has shape {array.shape}: all need one shape, RGBA on the last axis"
+            )
+    flat = [array.reshape(-1, 4) for array in arrays]
+    total = StackMeasures.none(rules, checked)
+    for begin in range(0, len(flat[0]), BLOCK_PIXELS):
+        block = np.array([layer[begin : begin + BLOCK_PIXELS] for layer in flat], np.float32)
+        np.clip(block[..., 3], 0, 1, out=block[..., 3])
+        total += measured(rules, checked, block)[0]
+    return total
+
+
+def measured(
+    rules: StackRules, settings: MeasureSettings, layers: Sequence[Array] | Array
+) -> tuple[StackMeasures, Provenance]:
+    """The measures of some pixels and their provenance.
+
+    `layers`: (layers, pixels, 4) float32, linear, premultiplied, placed, alpha in [0, 1].
+    """
+    n_pixels = len(layers[0])
+    provenance = Provenance.none((n_pixels,))
+    total = StackMeasures.none(rules, settings)
+    for begin in range(0, n_pixels, BLOCK_PIXELS):
+        block = slice(begin, min(begin + BLOCK_PIXELS, n_pixels))
+        with np.errstate(all="ignore"):  # what is not finite is left out below
+            pixels = contributors(rules, [layer[block] for layer in layers])
+        found, winners = _measured_block(rules, settings, pixels)
+        total += found
+        where = np.arange(block.start, block.stop)[pixels.known]
+        for name, values in vars(winners).items():
+            getattr(provenance, name)[where] = values
+    return total, provenance
+
+
+@dataclass(frozen=True)
+class Contributors:
+    """What the colours of some pixels are made of: the terms of the layers, then the background.
+
+    `luminance` (terms, pixels) and `p` (terms, 2, pixels) hold the pixels that can be measured,
+    `known` (all pixels) says which those are; `size` is |t|, (terms, pixels). The background is
+    among them where the stack has one: `n_layers` counts those before it. `alpha` (all pixels): of
+    the stack over its background. In a space that is not linear also their colours, `rgb`
+    (terms, 3, pixels), and the sum of their `gamut.bounds_of`.
+    """
+
+    n_layers: int
+    luminance: Array
+    p: Array
+    size: Array
+    known: Mask
+    alpha: Array
+    rgb: Array | None = None
+    bounds: Array | None = None
+
+    def total(self) -> Array:
+        """Σ|t|, (pixels)."""
+        return summed(self.size)
+
+    def reduced(self, rules: StackRules, order: str | None = None) -> Array:
+        """The chroma p (2, pixels) of the stack, in its own or another order."""
+        if rules.blending_space is not rules.space:
+            return self.plain(rules)
+        row = rules.adding_order if order is None else ORDERS[order]
+        p = row.reduce(self.p[: self.n_layers], rules.add, rules.add_all)
+        if self.n_layers < len(self.p):
+            p = rules.add(p, self.p[-1])
+        if self.bounds is None or rules.space.linear:
+            return p
+        # What came of it, back in gamut.
+        rgb = colors_within(rules.space, summed(self.luminance), p, self.bounds)
+        return rules.space.forward(rgb)[1]
+
+    def plain(self, rules: StackRules) -> Array:
+        """The chroma p (2, pixels) of plain +."""
+        if self.rgb is None:
+            return sum_traditional(self.p, 0.0)
+        return rules.space.forward(summed(self.rgb))[1]
+
+
+def contributors(rules: StackRules, layers: Sequence[Array]) -> Contributors:
+    """The contributors to pixels of a stack; `layers` as in `measured`."""
+    terms = weighted(rules, rules.space, layers)
+    luminance, p, alpha = terms.luminance, terms.p, terms.alpha
+    rgb, limits = None, terms.bounds
+    if not rules.space.linear:
+        scales = terms.weights * np.array(rules.opacities, p.dtype)[:, None]
+        rgb = np.stack([w * layer.T[:3] for w, layer in zip(scales, layers, strict=True)])
+    if rules.background is not None:
+        color = np.array(rules.background, p.dtype)[:, None]
+        luminance_below, p_below = rules.space.forward(color)
+        uncovered = 1 - terms.alpha
+        luminance = np.concatenate([luminance, (uncovered * luminance_below)[None]])
+        p = np.concatenate([p, (uncovered * p_below)[None]])
+        if rgb is not None:
+            rgb = np.concatenate([rgb, (uncovered * color)[None]])
+        limits = limits + uncovered * bounds_of(rules.space, color, 1.0)
+        alpha = np.ones_like(alpha)
+    known = np.logical_and(
+        (np.abs(luminance) < LARGEST_MEASURED).all(axis=0),
+        (np.abs(p) < LARGEST_MEASURED).all(axis=(0, 1)),
+    )
+    if not known.all():
+        luminance, p = luminance[:, known], p[:, :, known]
+        limits = limits[:, known]
+        if rgb is not None:
+            rgb = rgb[:, :, known]
+    size = length(p[:, 0], p[:, 1])
+    return Contributors(len(terms.p), luminance, p, size, known, alpha, rgb, limits)
+
+
+def length(x: Array, y: Array) -> Array:
+    """|p| of p = (x, y)."""
+    return np.sqrt(x * x + y * y)
+
+
+def summed(values: Array) -> Array:
+    """(terms, pixels) → (pixels), added from the bottom in the type of the values."""
+    return reduce(np.add, values)
+
+
+@dataclass(frozen=True)
+class Angle:
+    """A tolerance between two hues, compared by products: no arc is taken of any pixel."""
+
+    sine: Any
+    cosine: Any
+
+    @staticmethod
+    def of(degrees: float | NDArray[Any]) -> Angle:
+        """The tolerance in degrees, 0 to 180: one number, or one for each pixel."""
+        radians = np.radians(degrees)
+        # At a half turn the sine is 0 by no rounding: every hue is within.
+        sine = np.where(radians < math.pi, np.sin(radians), 0.0)
+        return Angle(np.float32(sine), np.float32(np.cos(radians)))
+
+    def holds(self, p1: Array, p2: Array) -> Mask:
+        """Whether the hues of p1 and p2 (2, …) are no farther apart; true where one has none."""
+        dot = p1[0] * p2[0] + p1[1] * p2[1]
+        cross = np.abs(p1[0] * p2[1] - p1[1] * p2[0])
+        # sin(angle − tolerance) ≤ 0
+        return cross * self.cosine <= dot * self.sine
+
+
+@dataclass(frozen=True)
+class Support:
+    """How the contributors stand to a result p (2, pixels), pixel by pixel.
+
+    `size`: |p|. `near` (terms, pixels): whose hue is that of p, within the tolerance. `backing`:
+    Σ|t| of those. `has_hue`: whether p and its backing are above half a step, so that the hue is
+    somebody's; layers of one hue count together.
+    """
+
+    size: Array
+    near: Mask
+    backing: Array
+    has_hue: Mask
+
+    @staticmethod
+    def of(p: Array, pixels: Contributors, settings: MeasureSettings) -> Support:
+        tolerance = Angle.of(settings.foreign_tolerance)
+        size = length(p[0], p[1])
+        near = np.array([tolerance.holds(p, term) for term in pixels.p])
+        backing = summed(np.where(near, pixels.size, np.float32(0)))
+        has_hue = (size > settings.half_step) & (backing > settings.half_step)
+        return Support(size, near, backing, has_hue)
+
+    def winner(self, pixels: Contributors, half_step: float) -> NDArray[np.int64]:
+        """The number of the layer whose hue survived, −1 for none; the lower of two equal ones.
+
+        None survived where the hue is the background's alone.
+        """
+        n = pixels.n_layers
+        theirs = np.where(self.near[:n], pixels.size[:n], np.float32(0))
+        survived = self.has_hue & (summed(theirs) > half_step)
+        return np.where(survived, theirs.argmax(axis=0), -1)
+
+
+def _measured_block(
+    rules: StackRules, settings: MeasureSettings, pixels: Contributors
+) -> tuple[StackMeasures, Provenance]:
+    p = pixels.reduced(rules)
+    support = Support.of(p, pixels, settings)
+    result, chromatic = _result_measures(rules, settings, pixels, p, support)
+    p_plain = pixels.plain(rules)
+    traditional, _ = _result_measures(
+        rules, settings, pixels, p_plain, Support.of(p_plain, pixels, settings)
+    )
+    sensitive = 0
+    if rules.blending.depends_on_order:
+        upward, downward = (
+            (
+                support
+                if rules.order is ORDERS[order]
+                else Support.of(pixels.reduced(rules, order), pixels, settings)
+            ).winner(pixels, settings.half_step)
+            for order in ("bottom-up", "top-down")
+        )
+        sensitive = count(chromatic & (upward != downward))
+    measures = StackMeasures(
+        settings,
+        result,
+        traditional,
+        pixels=pixels.known.size,
+        unmeasured=count(~pixels.known),
+        order_sensitive=sensitive,
+    )
+    return measures, _provenance(settings, pixels, support)
+
+
+def _result_measures(
+    rules: StackRules,
+    settings: MeasureSettings,
+    pixels: Contributors,
+    p: Array,
+    support: Support,
+) -> tuple[ResultMeasures, Mask]:
+    """The measures of the result p (2, pixels), and which pixels are chromatic."""
+    rgb = rules.space.inverse(summed(pixels.luminance), p)
+    chromatic = (support.size > settings.half_step) & is_saturated(rgb, settings.achromatic)
+    foreign = chromatic & ~support.has_hue
+    # Those of the surviving hue share what is left of it; what goes beyond them, as + makes it, is
+    # the others'. So the losses of all add up to Σ|t| − |p|, and none is below 0.
+    of_near = _part(support.size, support.backing)
+    of_others = _part(support.size - support.backing, pixels.total() - support.backing)
+    rows = []
+    for size, near in zip(pixels.size, support.near, strict=True):
+        contributes = size > settings.half_step
+        rows.append(
+            ContributorMeasures(
+                pixels=count(contributes),
+                survived=count(contributes & chromatic & near),
+                chroma=in_units(size),
+                kept=in_units(size * np.where(near, of_near, of_others)),
+            )
+        )
+    red, green, blue = (in_units(np.maximum(channel, 0)) for channel in rgb)
+    found = ResultMeasures(
+        tuple(rows[: pixels.n_layers]),
+        rows[-1] if len(rows) > pixels.n_layers else ContributorMeasures(),
+        chromatic=count(chromatic),
+        chroma=in_units(support.size[chromatic]),
+        foreign=count(foreign),
+        foreign_chroma=in_units(support.size[foreign]),
+        light=(red, green, blue),
+    )
+    return found, chromatic
+
+
+def _provenance(settings: MeasureSettings, pixels: Contributors, support: Support) -> Provenance:
+    winner = support.winner(pixels, settings.half_step)
+    there = winner >= 0
+    columns = np.arange(len(winner))
+    of_winner = pixels.size[winner, columns]
+    p_winner = pixels.p[winner, :, columns].T
+    tolerance = Angle.of(settings.foreign_tolerance)
+    rivals = np.array([~tolerance.holds(p_winner, term) for term in pixels.p])
+    runner_up = np.where(rivals, pixels.size, np.float32(0)).max(axis=0)
+    margin = np.zeros_like(of_winner)
+    np.divide(runner_up, of_winner, out=margin, where=there)
+    total = pixels.total()
+    return Provenance(
+        layer=(winner + 1).astype(np.uint32),
+        grey=np.where(total > 0, 1 - _part(support.size, total), np.float32(0)),
+        margin=np.where(there, 1 - margin, np.float32(0)),
+    )
+
+
+def _part(numerator: Array, denominator: Array) -> Array:
+    """numerator / denominator within [0, 1], and 0 where the denominator is 0."""
+    quotient = np.zeros_like(denominator)
+    np.divide(numerator, denominator, out=quotient, where=denominator > 0)
+    return np.clip(quotient, 0, 1, out=quotient)
+
+
+def count(mask: Mask) -> int:
+    return int(np.count_nonzero(mask))
+
+
+def is_saturated(rgb: Array, achromatic: float) -> Mask:
+    """Whether the saturation, (max − min) / max(|max|, |min|), is `achromatic` or more."""
+    largest = np.maximum(np.maximum(rgb[0], rgb[1]), rgb[2])
+    smallest = np.minimum(np.minimum(rgb[0], rgb[1]), rgb[2])
+    size = np.maximum(np.abs(largest), np.abs(smallest))
+    return largest - smallest >= np.float32(achromatic) * size
+
+
+def in_units(values: Array) -> int:
+    """The sum of values ≥ 0 in `SUM_UNIT`, each rounded and no more than `LARGEST_ADDEND`."""
+    units = np.rint(np.minimum(values, np.float32(LARGEST_ADDEND)) * np.float32(1 / SUM_UNIT))
+    return int(units.astype(np.int64).sum())

@@ -1,0 +1,1 @@
+"""One picture, strip by strip, from files to a file."""

@@ -1,0 +1,355 @@
+"""Deep images, strip by strip, from files to one flat file: who holds which samples when.
+
+What samples a pixel has is `deepsamples`' matter, how their colours are added the engine's.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import os
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from threading import Lock
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..blending.addition import DEFAULT_HUE_TOLERANCE
+from ..blending.orders import ORDERS
+from ..blending.rules import StackRules
+from ..color.encoding import BOTTOM, Losses
+from ..color.samples import Samples
+from ..engine import choice as engine
+from ..engine import deepsamples
+from ..engine.deepcompositing import bytes_to_reduce, flat
+from ..engine.deepsamples import DeepSamples
+from ..errors import SettingError, unknown_name
+from ..geometry import Window, parse_window
+from ..imagefile.deepreading import DeepReader, open_deep
+from ..imagefile.reading import NONFINITE_POLICIES
+from ..imagefile.seekable import STDIN, seekable
+from ..imagefile.source import codec_threads
+from ..imagefile.writing import OutputForm, format_of_output, open_writer
+from ..layers.canvas import LayerWindows, lay_out, output_window, parse_canvas
+from ..layers.layerspec import LayerSpec
+from ..layers.notices import Notices, warn_of_losses, warn_of_problems
+from ..layers.placing import Layer, layer_specs, rules_of
+from ..system.depfile import Depfile
+from ..system.outputs import check_places, whole_output
+from ..system.threads import Workers, thread_count
+from .budget import DEFAULT_MAX_MEMORY, parse_bytes
+from .deepbudget import Need
+from .stack import StackResult
+
+log = logging.getLogger("hpcomp")
+
+#: Settings of a LAYER that deep samples have no use for, and why.
+USELESS_SETTINGS = {
+    "op": "samples lie one over the other, as their depths say",
+    "opacity": "what it does would depend on how a volume was cut into samples",
+    "tint": "samples have colours of their own",
+}
+
+
+@dataclass(frozen=True)
+class PlacedImage:
+    """An open deep image and how far its file's coordinates move to the canvas."""
+
+    reader: DeepReader
+    dx: int
+    dy: int
+
+    @property
+    def window(self) -> Window:
+        """Its pixels, in canvas coordinates."""
+        return self.reader.window.moved(self.dx, self.dy)
+
+    def add_rows(
+        self, row_samples: NDArray[np.int64], window: Window, total: NDArray[np.int64]
+    ) -> None:
+        """Adds what its rows have of samples, from its top, to that of the rows of `window`."""
+        common = self.window.intersection(window)
+        if common is not None:
+            here, there = common.y - self.window.y, common.y - window.y
+            total[there : there + common.height] += row_samples[here : here + common.height]
+
+    def read(self, rows: Window) -> tuple[DeepSamples, int]:
+        """The samples of the pixels of `rows` of the canvas, and how many were left out."""
+        counts = np.zeros((rows.height, rows.width), np.int64)
+        common = self.window.intersection(rows)
+        if common is None:
+            return _no_samples(counts), 0
+        begin = common.y - self.dy
+        found, left_out = self.reader.read(begin, begin + common.height)
+        there = found.counts.reshape(common.height, self.window.width)
+        columns = slice(common.x - self.window.x, common.right - self.window.x)
+        if common.width < self.window.width:
+            inside = np.zeros(there.shape, bool)
+            inside[:, columns] = True
+            kept = np.repeat(inside.ravel(), found.counts)
+            found = DeepSamples(found.counts, found.front[kept], found.back[kept], found.rgba[kept])
+        at = common.moved(-rows.x, -rows.y)
+        counts[at.y : at.bottom, at.x : at.right] = there[:, columns]
+        return DeepSamples(counts.ravel(), found.front, found.back, found.rgba), left_out
+
+
+def _no_samples(counts: NDArray[np.int64]) -> DeepSamples:
+    none = np.empty(0, np.float32)
+    return DeepSamples(counts.ravel(), none, none, np.empty((0, 4), np.float32))
+
+
+def flatten(
+    images: Layer | Sequence[Layer],
+    output: str | os.PathLike[str],
+    *,
+    format: str | None = None,
+    blending: str = "hue-preserving",
+    order: str = "bottom-up",
+    space: str = "linear-rgb",
+    primaries: str = "rec709",
+    hue_tolerance: float = DEFAULT_HUE_TOLERANCE,
+    gray_bias: float = 0.0,
+    depth: str | int | None = None,
+    compression: str | int | None = None,
+    out_primaries: str | None = None,
+    exposure: float = 0.0,
+    region: str | Window | None = None,
+    clobber: bool = True,
+    canvas: str | Window = "bottom",
+    overscan: bool = False,
+    background: str | Sequence[float] | None = None,
+    nonfinite: str = "error",
+    strict: bool = False,
+    threads: int | None = None,
+    max_memory: str | int = DEFAULT_MAX_MEMORY,
+    depfile: str | os.PathLike[str] | None = None,
+    depfile_target: str | Sequence[str] = (),
+    write_if_changed: bool = False,
+) -> StackResult:
+    """Composites the samples of deep EXR files along each viewing ray into one flat file.
+
+    `images`: one or several LAYER strings, paths or `LayerSpec`, in any order: samples of all files
+    lie where their depths say. `output` and the options are those of `stack` and mean the same,
+    the farthest sample being the bottom; `order` is no permutation; `canvas` "bottom" and
+    `primaries` "bottom" are those of the first file.
+    Volumes are split where samples begin or end inside them. What coincides is added first, all at
+    once as with `order` "simultaneous"; then the samples of a pixel are a stack with "over".
+    `nonfinite`: "zero" leaves samples with NaN or Inf out.
+    Returns: what was written. Nothing but complete files appear.
+    Errors: `SettingError`, `InputError`, `MismatchError`, `OutputError`.
+    Warnings: `HpcompWarning`; errors with `strict`.
+    Source: Chuang et al. 2009; OpenEXR: Interpreting Deep Pixels.
+    """
+    several = [images] if isinstance(images, (str, os.PathLike, LayerSpec)) else list(images)
+    specs = deep_specs(several)
+    output = os.fspath(output)
+    if order not in ORDERS:
+        raise SettingError(
+            f"order '{order}' is not one for samples, which have no numbers: choose one of "
+            + ", ".join(ORDERS)
+        )
+    rules = rules_of(
+        specs[:1],
+        "over",
+        blending,
+        order,
+        space,
+        hue_tolerance,
+        background,
+        exposure,
+        primaries,
+        gray_bias=gray_bias,
+    )
+    form = OutputForm.checked(format_of_output(output, format), depth, compression, out_primaries)
+    if overscan and form.format == "png":
+        raise SettingError("a PNG ends at its canvas: --overscan needs an EXR output")
+    wanted_region = parse_window(region) if isinstance(region, str) else region
+    wanted_canvas = parse_canvas(canvas)
+    if nonfinite not in NONFINITE_POLICIES:
+        raise unknown_name("nonfinite policy", nonfinite, NONFINITE_POLICIES)
+    deps = Depfile.asked(depfile, depfile_target, [output])
+    check_places([output, *([deps.path] if deps else ())])
+    n_threads = thread_count(threads)
+    max_bytes = parse_bytes(max_memory)
+
+    notices = Notices(strict)
+    shown = "stdout" if output == STDIN else output
+    with contextlib.ExitStack() as opened:
+        target = opened.enter_context(
+            whole_output(output, clobber=clobber, if_changed=write_if_changed)
+        )
+        if deps is not None:
+            opened.enter_context(deps.written([spec.path for spec in specs], write_if_changed))
+        readers = [opened.enter_context(_opened_image(spec, nonfinite)) for spec in specs]
+        if primaries == BOTTOM:
+            rules = rules.in_primaries(readers[0].decoding.encoding.primaries)
+        _prepare(readers, rules, notices)
+        placed, found = _placed(specs, readers, wanted_canvas)
+        window = output_window(found, [image.window for image in placed], overscan, wanted_region)
+        n_threads, strips = _strips(placed, window, rules, form, max_bytes, n_threads)
+        opened.enter_context(codec_threads([form], reading=1, writing=n_threads))
+        log.info(
+            "canvas %s, %s, order %s, space %s, primaries %s",
+            found,
+            blending,
+            rules.order.name,
+            rules.space.name,
+            rules.primaries.name,
+        )
+        log.info(
+            "writing %s in %d strips, %d threads, engine %s",
+            window,
+            len(strips),
+            n_threads,
+            engine.active().NAME,
+        )
+        writer = open_writer(
+            target,
+            form,
+            window,
+            found,
+            primaries=rules.primaries,
+            pixel_aspect=readers[0].part.pixel_aspect,
+            pixels_per_metre=readers[0].part.pixels_per_metre,
+            label=shown,
+        )
+        work = _Work(placed, rules, form)
+        try:
+            with Workers[Samples](n_threads) as workers:
+                # Each strip is a source of its own: they are read and flattened side by side.
+                made = workers.read_ahead(
+                    (number, partial(work.strip, rows, workers.go_on))
+                    for number, rows in enumerate(strips)
+                )
+                for rows, samples in zip(strips, made, strict=True):
+                    prepare = partial(writer.prepare, rows.y - window.y, samples)
+                    workers.write_behind(prepare, writer.write)
+                    del samples, prepare
+                workers.flush()
+            writer.finish()
+        finally:
+            writer.abandon()
+        for what, seconds in {**work.seconds, "writing": workers.seconds["writing"]}.items():
+            log.info("%s: %.3f s of all threads together", what, seconds)
+        for image, left_out in zip(placed, work.left_out, strict=True):
+            if left_out:
+                samples_are = "1 sample is" if left_out == 1 else f"{left_out} samples are"
+                notices.warn(f"{image.reader.label}: {samples_are} NaN or infinite, and left out")
+        warn_of_losses(shown, work.losses, notices)
+    return StackResult(output, found, window, work.losses)
+
+
+def deep_specs(images: Sequence[Layer]) -> list[LayerSpec]:
+    """The settings of every image; `SettingError` for those that samples have no use for."""
+    if not images:
+        raise SettingError("there is nothing to flatten: name a deep EXR")
+    specs = layer_specs(images)
+    for spec in specs:
+        for setting, why in USELESS_SETTINGS.items():
+            if getattr(spec, setting) != getattr(LayerSpec, setting):
+                raise SettingError(f"{spec.title}: {why}, so '{setting}' is to be left out")
+    if [spec.path for spec in specs].count(STDIN) > 1:
+        raise SettingError("stdin can be only one of the images")
+    return specs
+
+
+@contextlib.contextmanager
+def _opened_image(spec: LayerSpec, nonfinite: str) -> Iterator[DeepReader]:
+    label = spec.title
+    with (
+        seekable(spec.path, label) as path,
+        open_deep(
+            path,
+            part=spec.part,
+            layer=spec.layer,
+            label=label,
+            alpha=spec.alpha,
+            colorspace=spec.colorspace,
+            nonfinite=nonfinite,
+        ) as reader,
+    ):
+        yield reader
+
+
+def _prepare(readers: Sequence[DeepReader], rules: StackRules, notices: Notices) -> None:
+    """Has them decode into the working primaries, and warns of what is odd about them."""
+    aspect = readers[0].part.pixel_aspect
+    for reader in readers:
+        reader.work_in(rules.primaries)
+        warn_of_problems(reader, notices)
+        if reader.part.pixel_aspect != aspect:
+            notices.warn(
+                f"{reader.label} has pixels of aspect {reader.part.pixel_aspect:g}, "
+                f"{readers[0].label} of {aspect:g}: resample it first"
+            )
+
+
+def _placed(
+    specs: Sequence[LayerSpec], readers: Sequence[DeepReader], canvas: str | Window
+) -> tuple[list[PlacedImage], Window]:
+    """The images where they lie, and the canvas."""
+    found = lay_out(
+        [
+            LayerWindows(r.label, r.part.display_window, r.window, spec.placement)
+            for spec, r in zip(specs, readers, strict=True)
+        ],
+        canvas,
+    )
+    placed = [PlacedImage(reader, *by) for reader, by in zip(readers, found.offsets, strict=True)]
+    return placed, found.window
+
+
+def _strips(
+    images: Sequence[PlacedImage],
+    window: Window,
+    rules: StackRules,
+    form: OutputForm,
+    max_bytes: int,
+    threads: int,
+) -> tuple[int, list[Window]]:
+    """How many threads memory allows, and the strips in which it allows the window to be made."""
+    readers = [image.reader for image in images]
+    need = Need.of(readers, [image.window for image in images], window, form, max_bytes)
+    row_samples = np.zeros(window.height, np.int64)
+    largest_chunk = deepest = 0
+    for image in images:
+        counts = image.reader.count()
+        image.add_rows(counts.rows, window, row_samples)
+        largest_chunk = max(largest_chunk, counts.largest_chunk)
+        deepest += counts.deepest  # no pixel has more
+    log.info("%d samples, up to %d in a pixel", row_samples.sum(), deepest)
+    has_volumes = any(reader.has_volumes for reader in readers)
+    reducing = bytes_to_reduce(rules, deepest, has_volumes)
+    need = replace(need, chunk=largest_chunk, reducing=reducing, deepest=deepest)
+    return need.strips(row_samples, threads)
+
+
+class _Work:
+    """Makes the strips, in any thread; counts what was lost on the way."""
+
+    def __init__(self, images: Sequence[PlacedImage], rules: StackRules, form: OutputForm) -> None:
+        self._images, self._rules, self._form = images, rules, form
+        self._lock = Lock()
+        self.losses = Losses()
+        self.left_out = [0] * len(images)
+        self.seconds = {"reading": 0.0, "compositing": 0.0}
+
+    def strip(self, rows: Window, go_on: Callable[[], None]) -> Samples:
+        """The flat picture (height, width, 4) of `rows` of the canvas; `go_on` as in `flat`."""
+        begin = time.perf_counter()
+        read = [image.read(rows) for image in self._images]
+        has_read = time.perf_counter()
+        samples = deepsamples.merged([found for found, _ in read])
+        lost = Losses()
+        made = flat(samples, self._rules, self._form.kind, lost, self._form.gamut, go_on)
+        done = time.perf_counter()
+        with self._lock:
+            self.losses.add(lost)
+            for number, (_, left_out) in enumerate(read):
+                self.left_out[number] += left_out
+            self.seconds["reading"] += has_read - begin
+            self.seconds["compositing"] += done - has_read
+        return made.reshape(rows.height, rows.width, 4)

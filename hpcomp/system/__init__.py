@@ -1,0 +1,1 @@
+"""What hpcomp asks of the system: whole outputs, depfiles, dates, signals, threads."""

@@ -1,0 +1,180 @@
+"""Outputs that appear whole or not at all: written beside their place, then renamed."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import stat
+import sys
+from collections.abc import Iterable, Iterator
+from typing import BinaryIO
+
+from ..errors import OutputError, SettingError, why
+
+STDOUT = "-"
+
+#: What the names of temporary files begin with, behind the dot of hidden ones; a process that
+#: another one may have to tidy up after has a name of its own here.
+temporary_prefix = "hpcomp."
+
+
+@contextlib.contextmanager
+def whole_output(target: str, *, clobber: bool = True, if_changed: bool = False) -> Iterator[str]:
+    """Gives a temporary path to write to, and puts what was written at `target` on success.
+
+    `target`: a path; `-` for stdout; links are followed; devices and pipes are written through.
+    `if_changed`: a file that has these bytes already is left as it is, with its time.
+    On any exception the temporary file is removed and `target` stays as it was.
+    Errors: `OutputError` where the directory is missing or not writable, where `target` is a
+    directory, or where it exists and `clobber` is off.
+    """
+    stream = target == STDOUT
+    label = "stdout" if stream else target
+    if stream and sys.stdout is None:
+        raise OutputError(f"{label} is closed: give it a reader, or name a file")
+    special = stream or _is_special(target, clobber)
+    place = target if special else os.path.realpath(target)
+    # The name first and the file inside the `try`: wherever a signal strikes, the file is removed.
+    directory = _temporary_directory() if special else os.path.dirname(place)
+    hidden = "" if special else "."
+    temporary = os.path.join(directory, f"{hidden}{temporary_prefix}{os.urandom(8).hex()}")
+    try:
+        try:
+            os.close(os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o600))
+        except OSError as reason:
+            where = directory if special else os.path.dirname(target) or "."
+            raise OutputError(
+                f"{label}: cannot write in the directory {where}: {why(reason)}"
+            ) from None
+        yield temporary
+        try:
+            if stream:
+                with stdout_bytes() as pipe:
+                    _copy(temporary, pipe)
+            elif special:
+                with open(target, "wb") as device:
+                    _copy(temporary, device)
+            else:
+                if not clobber and os.path.lexists(place):
+                    raise _exists(target)
+                if if_changed and _same_bytes(temporary, place):
+                    return
+                os.chmod(temporary, _mode(place))
+                os.replace(temporary, place)
+        except BrokenPipeError:
+            raise
+        except OSError as reason:
+            raise OutputError(f"{label}: cannot be written: {why(reason)}") from None
+    finally:
+        # Where there is none, a disk that is read-only says so instead.
+        with contextlib.suppress(OSError):
+            os.unlink(temporary)
+
+
+def check_places(paths: Iterable[str]) -> None:
+    """Refuses outputs of which one would replace another. Errors: `SettingError`."""
+    taken = set()
+    for path in paths:
+        place = path if path == STDOUT else os.path.realpath(path)
+        if place in taken:
+            shown = "stdout" if path == STDOUT else path
+            raise SettingError(f"{shown} is named for two outputs: give each its own")
+        taken.add(place)
+
+
+@contextlib.contextmanager
+def writing(label: str, done: str = "written") -> Iterator[None]:
+    """What the system refuses in the block is an `OutputError` about `label`."""
+    try:
+        yield
+    except BrokenPipeError:
+        raise
+    except OSError as reason:
+        raise OutputError(f"{label}: cannot be {done}: {why(reason)}") from None
+
+
+def remove_leftovers(targets: Iterable[str], prefix: str) -> None:
+    """Removes the temporary files beside `targets` that a killed process of that prefix left."""
+    for directory in {os.path.dirname(os.path.realpath(target)) for target in targets}:
+        with contextlib.suppress(OSError):
+            for name in os.listdir(directory):
+                if name.startswith(f".{prefix}"):
+                    with contextlib.suppress(FileNotFoundError):
+                        os.unlink(os.path.join(directory, name))
+
+
+def stdout_bytes() -> BinaryIO:
+    """Stdout as a stream that writes all that it is given.
+
+    Python's own does not where PYTHONUNBUFFERED is set: what a pipe does not take at once is lost.
+    Errors: `OutputError` where it is closed.
+    """
+    if sys.stdout is None:
+        raise OutputError("stdout is closed: give it a reader")
+    sys.stdout.flush()
+    return open(sys.stdout.fileno(), "wb", closefd=False)
+
+
+def _temporary_directory() -> str:
+    import tempfile  # with all that it imports, which a plain output has no use for
+
+    try:
+        return tempfile.gettempdir()
+    except OSError as reason:
+        raise OutputError(f"stdout: no temporary file can be made: {why(reason)}") from None
+
+
+def _copy(path: str, stream: BinaryIO) -> None:
+    with open(path, "rb") as written:
+        while data := written.read(1 << 20):
+            stream.write(data)
+    stream.flush()
+
+
+def _same_bytes(written: str, place: str) -> bool:
+    """Whether there is a file at `place` that holds what was written."""
+    try:
+        if os.path.getsize(place) != os.path.getsize(written):
+            return False
+        with open(written, "rb") as ours, open(place, "rb") as theirs:
+            while (block := ours.read(1 << 20)) == theirs.read(1 << 20):
+                if not block:
+                    return True
+    except OSError:
+        pass  # it is replaced
+    return False
+
+
+def _is_special(target: str, clobber: bool) -> bool:
+    """Whether `target` is a device or pipe, to be written through; refuses what cannot be."""
+    try:
+        # Before links are followed: those of /dev/stdout and /dev/fd lead to no path.
+        mode = os.stat(target).st_mode
+    except FileNotFoundError:
+        if not os.path.isdir(os.path.dirname(os.path.realpath(target))):
+            shown = os.path.dirname(target) or "."
+            raise OutputError(f"{target}: there is no directory {shown}: make it first") from None
+        return False
+    except OSError as reason:
+        raise OutputError(f"{target}: cannot be written: {why(reason)}") from None
+    if stat.S_ISDIR(mode):
+        raise OutputError(f"{target} is a directory: name a file in it")
+    if not stat.S_ISREG(mode):
+        return True
+    if not clobber:
+        raise _exists(target)
+    return False
+
+
+def _exists(target: str) -> OutputError:
+    return OutputError(f"{target} exists and --no-clobber keeps it: choose another output")
+
+
+def _mode(place: str) -> int:
+    """The permissions of what stands there, or those that the umask gives a new file."""
+    try:
+        return stat.S_IMODE(os.stat(place).st_mode)
+    except FileNotFoundError:
+        umask = os.umask(0)
+        os.umask(umask)
+        return 0o666 & ~umask

@@ -1,0 +1,343 @@
+"""The memory that `hpcomp stack` takes: peaks of its process, measured from outside."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+import zlib
+from functools import cache
+
+import exrfile
+import numpy as np
+import pngfile
+import pytest
+from command import PATIENCE_S, command
+
+from hpcomp.engine import choice as engine
+
+ENDINGS = ["png", "exr"]
+MIB = 1024.0
+WIDTH = 3000
+
+# Peaks of the same run differ by this much, with where the allocator happens to put things.
+NOISE_M = 1.5
+
+# Its own peak counts, not that of the tests: only a small process may start it.
+MEASURE = (
+    "import os, sys\n"
+    "child = os.posix_spawn(sys.argv[1], sys.argv[1:], os.environ)\n"
+    "_, status, usage = os.wait4(child, 0)\n"
+    "print(usage.ru_maxrss, os.waitstatus_to_exitcode(status))"
+)
+
+
+def png_bytes(width, height, interlaced=False):
+    """RGBA of smooth columns, so that all rows are one and deflate to next to nothing."""
+    x = np.arange(width)
+    row = np.stack(
+        [x * 255 // width, 255 - x * 255 // width, x * 0 + 60, 128 + x * 127 // width], -1
+    )
+    if interlaced:
+        samples = np.broadcast_to(row, (height, width, 4))
+        return pngfile.Png(samples, pngfile.RGBA, 8, interlaced=True).encode()
+    raster = (b"\0" + row.astype("u1").tobytes()) * height
+    chunks = pngfile.rgba_png(np.zeros((1, 1, 4))).chunks()
+    header = width.to_bytes(4, "big") + height.to_bytes(4, "big") + chunks[0][1][8:]
+    return pngfile.join([(b"IHDR", header), (b"IDAT", zlib.compress(raster, 1)), (b"IEND", b"")])
+
+
+def planes(width, height, dtype=np.float16):
+    """Premultiplied RGBA of smooth columns."""
+    x = np.linspace(0, 1, width)
+    alpha = 0.5 + 0.5 * x
+    rows = {"R": x * alpha, "G": (1 - x) * alpha, "B": 0.25 * alpha, "A": alpha}
+    return {
+        name: np.ascontiguousarray(np.broadcast_to(row.astype(dtype), (height, width)))
+        for name, row in rows.items()
+    }
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    """name -> path of a layer, made when it is asked for first."""
+    folder = tmp_path_factory.mktemp("files")
+    recipes = {
+        "tiny.png": lambda path: path.write_bytes(png_bytes(16, 16)),
+        "tiny.exr": lambda path: exrfile.write(path, planes(16, 16)),
+        "tiny interlaced.png": lambda path: path.write_bytes(png_bytes(16, 16, interlaced=True)),
+        "wide.png": lambda path: path.write_bytes(png_bytes(WIDTH, 300)),
+        "wide.exr": lambda path: exrfile.write(path, planes(WIDTH, 300)),
+        "tall.png": lambda path: path.write_bytes(png_bytes(WIDTH, 1200)),
+        "tall.exr": lambda path: exrfile.write(path, planes(WIDTH, 1200)),
+        "float.exr": lambda path: exrfile.write(path, planes(WIDTH, 300, np.float32)),
+        "noise.exr": lambda path: exrfile.write(
+            path, exrfile.planes("RGBA", WIDTH, 300), compression="none"
+        ),
+        "interlaced.png": lambda path: path.write_bytes(png_bytes(1500, 400, interlaced=True)),
+        "blocks.exr": lambda path: exrfile.write(path, planes(1000, 512), compression="dwab"),
+        "tiles.exr": lambda path: exrfile.write(path, planes(1000, 512), tile=(256, 256)),
+        "narrow.exr": lambda path: exrfile.write(path, planes(500, 1500)),
+        "narrow tall.exr": lambda path: exrfile.write(path, planes(500, 6000)),
+    }
+
+    @cache
+    def path(name):
+        recipes[name](folder / name)
+        return folder / name
+
+    return path
+
+
+def run(layers, out, *options, env=None):
+    """(peak resident MiB, exit code, stderr)."""
+    done = subprocess.run(
+        command(
+            "stack", *layers, "-o", out, *options, through=[sys.executable, "-ISc", MEASURE]
+        ),
+        capture_output=True, text=True, timeout=PATIENCE_S, env={**os.environ, **(env or {})},
+    )  # fmt: skip
+    peak, code = done.stdout.split()
+    return int(peak) / MIB, int(code), done.stderr
+
+
+@pytest.fixture
+def peak(files, tmp_path):
+    """peak(layers, ending, budget, threads, *options): MiB above the same run of tiny layers."""
+
+    def measured(names, ending, memory, threads, *options, env=None):
+        options = (*options, "--threads", threads)
+        layers, tiny = [], []
+        for name in names:
+            name, colons, settings = name.partition("::")
+            layers.append(f"{files(name)}{colons}{settings}")
+            # Of the same kind, so that the same libraries are loaded.
+            small = "tiny interlaced.png" if "interlaced" in name else f"tiny.{name[-3:]}"
+            tiny.append(f"{files(small)}{colons}{settings}")
+        base, code, stderr = run(tiny, tmp_path / f"tiny.{ending}", *options, env=env)
+        assert (code, stderr) == (0, "")
+        most, code, stderr = run(
+            layers, tmp_path / f"out.{ending}", *options, "--max-memory", f"{memory}M", env=env
+        )
+        assert (code, stderr) == (0, "")
+        return most - base
+
+    return measured
+
+
+# ---- the budget -----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+@pytest.mark.parametrize("ending", ENDINGS)
+@pytest.mark.parametrize("name", ["wide.png", "wide.exr"])
+def test_four_layers_stay_in_the_budget(peak, name, ending, threads):
+    assert peak([name] * 4, ending, 48, threads) <= 48
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+@pytest.mark.parametrize("name", ["wide.png", "wide.exr", "float.exr"])
+def test_small_budget(peak, name, threads):
+    """Strips of a few rows, where what does not depend on rows counts most."""
+    assert peak([name] * 4, "exr", 20, threads) <= 20
+
+
+@pytest.mark.parametrize("engine_name", list(dict.fromkeys([engine.active().NAME, "reference"])))
+@pytest.mark.parametrize("threads", [1, 2])
+def test_budget_of_every_engine(peak, engine_name, threads):
+    env = {"HPCOMP_ENGINE": engine_name}
+    for space in ("linear-rgb", "oklab"):
+        used = peak(
+            ["wide.png", "wide.exr"] * 2, "exr", 40, threads, "--space", space, env=env
+        )
+        assert used <= 40
+
+
+@pytest.mark.parametrize("engine_name", list(dict.fromkeys([engine.active().NAME, "reference"])))
+@pytest.mark.parametrize("threads", [1, 2])
+def test_a_report_in_a_space_that_numpy_measures(peak, engine_name, threads, tmp_path):
+    env = {"HPCOMP_ENGINE": engine_name}
+    options = ("--space", "cielab", "--order", "balanced", "--report", tmp_path / "made.json")
+    assert peak(["wide.png", "wide.exr"] * 3, "exr", 80, threads, *options, env=env) <= 80
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["wide.exr::colorspace=srgb", "wide.exr::colorspace=acescg", "wide.exr::alpha=straight",
+     "wide.exr::alpha=luminance", "wide.png::alpha=premultiplied-encoded",
+     "wide.png::colorspace=display-p3"],
+)  # fmt: skip
+def test_layers_that_take_more_decoding(peak, name):
+    assert peak([name] * 3, "exr", 48, 2) <= 48
+
+
+@pytest.mark.parametrize("compression", ["none", "piz", "b44", "dwaa"])
+def test_output_that_takes_more_encoding(peak, compression):
+    assert peak(["wide.png"] * 2, "exr", 48, 2, "--compression", compression) <= 48
+
+
+@pytest.mark.parametrize("threads", [1, 2, 4])
+@pytest.mark.parametrize("budget", [None, 192, 320])
+def test_output_in_blocks_of_256_rows(peak, files, tmp_path, budget, threads):
+    """DWAB takes the most of all: several blocks at once, each with tables of its own."""
+    options = "--compression", "dwab"
+    if budget is None:
+        layers = [files("tall.exr")] * 2
+        out = tmp_path / "out.exr"
+        _, _, stderr = run(layers, out, *options, "--threads", threads, "--max-memory", "256K")
+        budget = int(re.search(r"at least (\d+)M", stderr)[1])
+    assert peak(["tall.exr"] * 2, "exr", budget, threads, *options) <= budget
+
+
+@pytest.mark.parametrize("compression", ["piz", "b44", "htj2k32"])
+def test_output_in_many_threads(peak, compression):
+    """Each thread of OpenEXR has blocks of its own."""
+    assert peak(["tall.exr"] * 2, "exr", 64, 8, "--compression", compression) <= 64
+
+
+@pytest.mark.parametrize("compression", ["none", "zips", "zip"])
+def test_output_that_does_not_shrink(peak, compression):
+    """Noise is stored as it is: there is a second copy of the strip until it is written."""
+    options = "--depth", "float", "--compression", compression
+    assert peak(["noise.exr"] * 2, "exr", 32, 4, *options) <= 32
+
+
+@pytest.mark.parametrize("order", ["balanced", "simultaneous", "permutation"])
+def test_orders_that_hold_every_layer(peak, order):
+    """They take more for each layer, out of shorter strips."""
+    if order == "permutation":
+        order = ",".join(map(str, [1, 0, *range(2, 24)]))
+    assert peak(["wide.exr"] * 24, "exr", 64, 2, "--order", order) <= 64
+
+
+# ---- what does not matter -------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+@pytest.mark.parametrize("ending", ENDINGS)
+def test_height_does_not_matter(peak, ending, threads):
+    """Four times the rows; as a picture they would take 41 MiB more for each layer."""
+    low = peak([f"wide.{ending}"] * 2, ending, 32, threads)
+    high = peak([f"tall.{ending}"] * 2, ending, 32, threads)
+    # With two threads it depends a little on how far reading and writing are apart.
+    assert high - low <= 12
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+@pytest.mark.parametrize("order", ["bottom-up", "top-down"])
+def test_number_of_layers_does_not_matter(peak, order, threads):
+    """Only what an open file takes: a strip of 64 rows of each more would be 60 MiB."""
+    few = peak(["wide.exr"] * 4, "exr", 64, threads, "--order", order)
+    many = peak(["wide.exr"] * 24, "exr", 64, threads, "--order", order)
+    assert many <= 64
+    assert many - few <= 20 * 1.0
+
+
+def check_peak(picture, layers):
+    """The peak of `hpcomp check`, in MiB."""
+    done = subprocess.run(
+        command(
+            "check", picture, *layers, "--max-foreign", "1",
+            through=[sys.executable, "-ISc", MEASURE],
+        ),
+        capture_output=True, text=True, timeout=PATIENCE_S,
+    )  # fmt: skip
+    *_, last = done.stdout.splitlines()
+    peak, code = last.split()
+    assert (int(code), done.stderr) == (0, "")
+    return int(peak) / MIB
+
+
+@pytest.mark.parametrize("ending", ENDINGS)
+def test_height_does_not_matter_to_a_check(files, ending):
+    """Four times the rows of a picture and two layers; whole, they would take 120 MiB more."""
+    low, high = (
+        check_peak(files(f"{name}.{ending}"), [files(f"{name}.{ending}")] * 2)
+        for name in ("wide", "tall")
+    )
+    assert high - low <= 12
+
+
+# ---- reports --------------------------------------------------------------------------------
+
+
+@pytest.fixture(params=["json", "html", "provenance"])
+def told(request, tmp_path):
+    """Options for something that a stack is to tell beside its picture."""
+    if request.param == "provenance":
+        return "--provenance", tmp_path / "told.exr"
+    return "--report", tmp_path / f"told.{request.param}"
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+@pytest.mark.parametrize("name", ["wide.png", "wide.exr"])
+def test_reports_of_four_layers_stay_in_the_budget(peak, told, name, threads):
+    assert peak([name] * 4, "exr", 48, threads, *told) <= 48
+
+
+@pytest.mark.parametrize("order", ["bottom-up", "top-down", "simultaneous"])
+def test_reports_of_many_layers_stay_in_the_budget(peak, told, order):
+    """All layers of a strip are looked at together, whatever the order, and decoded for that."""
+    layers = ["wide.exr", "wide.exr::colorspace=srgb"] * 12
+    assert peak(layers, "exr", 112, 2, "--order", order, *told) <= 112
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_height_does_not_matter_to_a_report(peak, told, threads):
+    """Four times the rows; whole, the three layers would take 50 MiB more. A page's pictures have
+    a largest size, whatever the canvas."""
+    low = peak(["narrow.exr"] * 3, "exr", 40, threads, *told)
+    high = peak(["narrow tall.exr"] * 3, "exr", 40, threads, *told)
+    assert high - low <= 12
+
+
+@pytest.mark.parametrize("engine_name", list(dict.fromkeys([engine.active().NAME, "reference"])))
+def test_minimum_of_a_report(peak, files, tmp_path, told, engine_name):
+    env = {"HPCOMP_ENGINE": engine_name}
+    layers, options = [files("wide.exr")] * 3, ("--threads", 2, *told)
+    _, code, stderr = run(
+        layers, tmp_path / "out.exr", *options, "--max-memory", "256K", env=env
+    )
+    assert code == 4
+    least = int(re.search(r"needs at least (\d+)M", stderr)[1])
+    assert peak(["wide.exr"] * 3, "exr", least, 2, *told, env=env) <= least + NOISE_M
+
+
+# ---- the least ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+@pytest.mark.parametrize("name", ["interlaced.png", "blocks.exr", "tiles.exr", "wide.exr"])
+def test_minimum(peak, files, tmp_path, name, threads):
+    """A smaller budget is refused with the least that there must be, which is enough."""
+    layers, out = [files(name)] * 3, tmp_path / "out.exr"
+    out.write_bytes(b"old")
+    _, code, stderr = run(layers, out, "--threads", threads, "--max-memory", "256K")
+    assert code == 4
+    assert stderr.count("\n") == 1
+    found = re.search(r"^hpcomp: error: .*needs at least (\d+)M.*--max-memory", stderr)
+    assert found, stderr
+    assert out.read_bytes() == b"old"
+    least = int(found[1])
+    _, code, stderr = run(
+        layers, out, "--threads", threads, "--max-memory", f"{(least - 1) * 1024}K"
+    )
+    assert code == 4
+    assert f"at least {least}M" in stderr
+    assert peak([name] * 3, "exr", least, threads) <= least + NOISE_M
+
+
+def test_minimum_of_an_interlaced_png_is_the_picture(files, tmp_path):
+    """It has to be decoded as a whole: 1500×400 RGBA are 2.3 MiB for each of eight."""
+    layers = [files("interlaced.png")] * 8
+    _, code, stderr = run(layers, tmp_path / "out.png", "--max-memory", "16M")
+    assert code == 4
+    assert int(re.search(r"at least (\d+)M", stderr)[1]) >= 18
+
+
+def test_minimum_is_no_more_than_it_takes(files, tmp_path):
+    """An estimate that is far too high would refuse what could be made."""
+    layers = [files("wide.exr")] * 4
+    _, code, stderr = run(layers, tmp_path / "out.exr", "--threads", 1, "--max-memory", "16M")
+    assert (code, stderr) == (0, "")

@@ -1,0 +1,307 @@
+"""Samples along viewing rays: sorting, splitting and merging, held against a literal second opinion."""
+
+import itertools
+import math
+from functools import partial
+
+import deeporacle
+import numpy as np
+import oracle
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from strategies import BLENDING_NAMES, ORDER_NAMES, valid_color
+
+from hpcomp.blending.rules import stack_rules
+from hpcomp.color.encoding import REC709, Losses
+from hpcomp.engine import choice as engine
+from hpcomp.engine import deepsamples
+from hpcomp.engine.deepcompositing import flat
+from hpcomp.engine.deepsamples import DeepSamples
+
+#: Of a few additions of float32, and what the shoulder of ⊕ makes of their rounding.
+ROUNDING = 2e-5
+
+# Depths of few values, so that samples meet; -0 and 0 are one.
+DEPTHS = st.sampled_from([-1.0, -0.0, 0.0, 1.0, 2.0, 2.5, 4.0, 1e6])
+# Hues 40° apart, so that no test hangs on the shoulder.
+HUES = st.sampled_from([0, 40, 120, 160, 240, 280])
+
+
+@st.composite
+def samples(draw, opaque=True):
+    """(R, G, B, alpha, front, back) as float32 holds them."""
+    alphas = [0.0, 1e-30, 1e-6, 0.1, 0.5, 0.99] + [1.0] * opaque
+    alpha = draw(st.sampled_from(alphas))
+    color = valid_color(draw(HUES), draw(st.sampled_from([0, 0.3, 1])), draw(st.floats(0.1, 0.9)))
+    scale = alpha if alpha >= 1e-6 else draw(st.sampled_from([0.0, 0.25]))  # glow
+    front = draw(DEPTHS)
+    back = front + draw(st.sampled_from([-1.0, 0.0, 0.5, 1.0, 3.0]))
+    return tuple(float(np.float32(v)) for v in (*oracle.scaled(scale, color), alpha, front, back))
+
+
+PIXELS = st.lists(samples(), max_size=5)
+
+
+def of_pixels(*pixels):
+    """The samples of these pixels."""
+    values = np.array([s for pixel in pixels for s in pixel], np.float32).reshape(-1, 6)
+    counts = np.array([len(pixel) for pixel in pixels])
+    return DeepSamples(counts, values[:, 4], values[:, 5], values[:, :4])
+
+
+def flattened(*pixels, blending="hue-preserving", order="bottom-up"):
+    rules = stack_rules(1, blending=blending, order=order)
+    return flat(of_pixels(*pixels), rules, "float", Losses(), REC709)
+
+
+def test_work_can_be_given_up_in_the_middle(monkeypatch):
+    """Of one pixel of many volumes that overlap, and of many deep ones in one stack."""
+    monkeypatch.setattr(engine.active(), "PAIRS_AT_ONCE", 4 * 100**2)
+    volumes = [(0.01, 0.0, 0.01 * (n % 2), 0.02, n, 1000.0 - n) for n in range(300)]
+    points = [[(0.01, 0.0, 0.01 * (n % 2), 0.02, n, n) for n in range(96)]] * 40
+    for pixels in ([volumes], points):
+        done = []
+
+        def go_on(done=done):
+            done.append(True)
+            if len(done) == 9:
+                raise KeyError
+
+        rules = stack_rules(1, order="simultaneous")
+        with pytest.raises(KeyError):
+            flat(of_pixels(*pixels), rules, "float", Losses(), REC709, go_on)
+        assert len(done) == 9
+
+
+@pytest.mark.parametrize(("order", "calls"), [("bottom-up", 1), ("balanced", 1), ("simultaneous", 10)])
+def test_deep_pixels_share_a_stack_as_far_as_signals_allow(monkeypatch, order, calls):
+    """Each call of the engine costs something for each layer, whatever the number of pixels."""
+    monkeypatch.setattr(engine.active(), "PAIRS_AT_ONCE", 4 * 400**2)
+    begun, start = [], engine.start
+    monkeypatch.setattr(engine, "start", lambda *given: begun.append(given) or start(*given))
+    points = [[(0.01, 0.0, 0.01 * (n % 2), 0.02, n, n) for n in range(384)]] * 40
+    flattened(*points, order=order)
+    assert len(begun) == calls
+    assert sum(width for _, width, _ in begun) == 40
+
+
+def plain_sum(counts, rgba):
+    return np.add.reduceat(rgba, np.cumsum(counts) - counts, axis=0)
+
+
+# ---- the second opinion ---------------------------------------------------------------------
+
+
+@pytest.fixture(params=engine.NAMES)
+def by_each_engine(request, monkeypatch):
+    monkeypatch.setenv(engine.VARIABLE, request.param)
+
+
+@pytest.mark.usefixtures("by_each_engine")
+@pytest.mark.parametrize("order", ORDER_NAMES)
+@pytest.mark.parametrize("blending", [name for name in BLENDING_NAMES if name != "foremost"])
+def test_pixels_are_those_of_the_document_and_the_paper(blending, order):
+    @given(st.lists(PIXELS, min_size=1, max_size=3))
+    def holds(pixels):
+        found = flattened(*pixels, blending=blending, order=order)
+        wanted = [deeporacle.flat(pixel, blending, order) for pixel in pixels]
+        assert np.abs(found - wanted).max() < ROUNDING
+
+    holds()
+
+
+@given(PIXELS, st.randoms(use_true_random=False))
+def test_the_order_of_samples_changes_no_bit(pixel, random):
+    shuffled = list(pixel)
+    random.shuffle(shuffled)
+    for blending in BLENDING_NAMES:
+        found = flattened(pixel, shuffled, blending=blending)
+        assert found[0].tobytes() == found[1].tobytes()
+
+
+@given(PIXELS, PIXELS)
+def test_several_images_are_one(first, second):
+    both = deepsamples.merged([of_pixels(first, second), of_pixels(second, [])])
+    assert both.counts.tolist() == [len(first) + len(second), len(second)]
+    wanted = of_pixels([*first, *second], second)
+    for name in ("front", "back", "rgba"):
+        assert np.array_equal(getattr(both, name), getattr(wanted, name))
+
+
+# ---- splitting ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("order", ORDER_NAMES)
+@given(sample=samples(), cuts=st.lists(st.floats(0.01, 0.99), min_size=1, max_size=4))
+def test_a_split_volume_flattens_to_what_it_was(order, sample, cuts):
+    whole = (*sample[:4], 1.0, 3.0)
+    depths = sorted({1.0, 3.0, *(float(np.float32(1 + 2 * cut)) for cut in cuts)})
+    parts = [
+        deeporacle.part(whole, near, far) for near, far in itertools.pairwise(depths)
+    ]
+    found = flattened([whole], parts, order=order)
+    wanted = np.array(whole[:4])
+    assert np.abs(found[0] - wanted).max() < 1e-6
+    assert np.abs(found[1] - wanted).max() < ROUNDING
+
+
+@pytest.mark.parametrize("alpha", [1e-40, 1e-30, 1e-12, 1e-7])
+def test_a_part_of_almost_nothing_is_its_share(alpha):
+    """1 - (1 - α)^t in float32 would be 0."""
+    volume = (0.25, 0.125, 0.5, alpha, 0.0, 4.0)
+    mark = (0.0, 0.0, 0.0, 0.0, 1.0, 1.0)
+    counts, rgba = deepsamples.tidied(of_pixels([volume, mark]), plain_sum)
+    assert counts.tolist() == [3]
+    assert np.allclose(rgba[0, :3], np.array(volume[:3]) / 4, rtol=1e-6)
+    assert np.allclose(rgba[0, 3], np.float32(alpha) / 4, rtol=1e-6, atol=1e-45)
+    assert rgba[1].tolist() == [0, 0, 0, 0]
+    assert np.allclose(rgba[2, :3], 0.75 * np.array(volume[:3]), rtol=1e-6)
+
+
+def test_alpha_follows_the_length():
+    volume, mark = (0.75, 0.0, 0.0, 0.75, 0.0, 2.0), (0.0, 0.0, 0.0, 0.0, 1.0, 1.0)
+    _, rgba = deepsamples.tidied(of_pixels([volume, mark]), plain_sum)
+    assert np.allclose(rgba[[0, 2]], [[0.5, 0, 0, 0.5]] * 2)
+
+
+def test_an_opaque_volume_is_opaque_from_its_front_on():
+    volume, inside = (0.5, 0.25, 0.0, 1.0, 0.0, 2.0), (0.0, 0.0, 1.0, 1.0, 1.0, 1.0)
+    counts, rgba = deepsamples.visible(*deepsamples.tidied(of_pixels([volume, inside]), plain_sum))
+    assert counts.tolist() == [1]
+    assert rgba.tolist() == [[0.5, 0.25, 0.0, 1.0]]
+
+
+@pytest.mark.parametrize(
+    ("front", "back", "shares"),
+    [(0.0, math.inf, [0, 0, 1]), (-math.inf, 2.0, [1, 0, 0]), (-math.inf, math.inf, [0.5, 0, 0.5])],
+)
+def test_an_endless_volume_is_at_its_endless_end(front, back, shares):
+    volume = (0.5, 0.0, 0.0, 0.0, front, back)  # glow, whose parts are their shares
+    marks = [(0.0, 0.0, 0.0, 0.0, depth, depth) for depth in (0.5, 1.0)]
+    _, rgba = deepsamples.tidied(of_pixels([volume, *marks]), plain_sum)
+    assert rgba[::2, 0].tolist() == [share * 0.5 for share in shares]
+
+
+def test_a_back_before_the_front_is_a_point():
+    """As OpenEXR's document has it; some writers leave ZBack 0."""
+    point, behind = (0.5, 0.0, 0.0, 0.5, 3.0, 0.0), (0.0, 0.5, 0.0, 0.5, 4.0, 4.0)
+    counts, rgba = deepsamples.tidied(of_pixels([behind, point]), plain_sum)
+    assert counts.tolist() == [2]
+    assert rgba.tolist() == [[0.5, 0, 0, 0.5], [0, 0.5, 0, 0.5]]
+
+
+def test_a_point_where_a_volume_begins_is_in_front_of_it_and_where_it_ends_behind():
+    volume = (0.5, 0.0, 0.0, 0.5, 1.0, 2.0)
+    before, after = (0.0, 0.5, 0.0, 0.5, 1.0, 1.0), (0.0, 0.0, 0.5, 0.5, 2.0, 2.0)
+    counts, rgba = deepsamples.tidied(of_pixels([after, volume, before]), plain_sum)
+    assert counts.tolist() == [3]
+    assert rgba[:, :3].argmax(axis=1).tolist() == [1, 0, 2]
+
+
+# ---- merging --------------------------------------------------------------------------------
+
+
+@given(st.lists(samples(), min_size=2, max_size=5))
+def test_weights_are_those_of_the_document(coincident):
+    coincident = [(*s[:4], 1.0, 2.0) for s in coincident]
+    counts, rgba = deepsamples.tidied(of_pixels(coincident), plain_sum)
+    colors, alpha = deeporacle.weighted(coincident)
+    assert counts.tolist() == [1]
+    assert np.abs(rgba[0] - (*deeporacle.plain_sum(colors), alpha)).max() < ROUNDING
+
+
+def test_two_labels_in_one_place_do_not_make_a_third():
+    """Where + makes orange of red and yellow, the stronger one keeps its hue."""
+    red, yellow = (0.5, 0.0, 0.0, 0.5, 1.0, 2.0), (0.2, 0.2, 0.0, 0.5, 1.0, 2.0)
+    (kept,) = flattened([red, yellow])
+    hue_of = partial(oracle.angle, oracle.difference(red[:3]))
+    assert hue_of(oracle.difference(kept[:3])) < 1e-3
+    (plain,) = flattened([red, yellow], blending="traditional")
+    assert hue_of(oracle.difference(plain[:3])) > 0.1
+    weights = (0.212639, 0.715169, 0.072192)
+    assert abs(np.dot(kept[:3], weights) - np.dot(plain[:3], weights)) < 1e-6
+
+
+def test_opaque_points_in_one_place_share_it():
+    """Their mean, however many: in pairs, as OpenEXR's document has it, the last counts most."""
+    points = [(1.0, 0.0, 0.0, 1.0, 1.0, 1.0), (0.0, 0.0, 1.0, 1.0, 1.0, 1.0)]
+    points += [(1.0, 0.0, 0.0, 1.0, 1.0, 1.0), (0.0, 0.9, 0.0, 0.9, 1.0, 1.0)]
+    (found,) = flattened(points, blending="traditional")
+    assert np.abs(found - [2 / 3, 0, 1 / 3, 1]).max() < 1e-6
+
+
+def test_foremost_adds_in_one_place_as_hue_preserving_does():
+    strong, weak = (0.0, 0.6, 0.0, 0.6, 1.0, 1.0), (0.1, 0.0, 0.0, 0.1, 1.0, 1.0)
+    behind = (0.0, 0.0, 0.9, 0.9, 2.0, 2.0)
+    (found,) = flattened([weak, strong, behind], blending="foremost")
+    green = oracle.difference((0, 1, 0))
+    assert oracle.angle(green, oracle.difference(tuple(map(float, found[:3])))) < 1e-3
+
+
+# ---- many pixels ----------------------------------------------------------------------------
+
+
+def crowd(rng, pixels, most):
+    """Pixels of few depths and up to so many samples."""
+    return [
+        [
+            (*(rng.random(3) * a).tolist(), a, front, front + length)
+            for a, front, length in zip(
+                rng.choice([0.1, 0.25, 0.5], n), rng.integers(0, 9, n), rng.integers(0, 5, n),
+                strict=True,
+            )
+        ]
+        for n in rng.integers(0, most + 1, pixels)
+    ]  # fmt: skip
+
+
+def test_how_many_pieces_are_in_memory_changes_no_bit(monkeypatch):
+    pixels = crowd(np.random.default_rng(3), 40, 30)
+    whole = flattened(*pixels)
+    for at_once in (1, 7, 100):
+        monkeypatch.setattr(deepsamples, "PIECES_AT_ONCE", at_once)
+        assert flattened(*pixels).tobytes() == whole.tobytes()
+
+
+@pytest.mark.parametrize("order", ORDER_NAMES)
+def test_what_else_is_in_the_strip_changes_no_bit(order):
+    pixels = crowd(np.random.default_rng(4), 60, 20)
+    whole = flattened(*pixels, order=order)
+    for number in range(0, 60, 7):
+        assert flattened(pixels[number], order=order).tobytes() == whole[number].tobytes()
+
+
+def test_one_pixel_of_a_thousand_samples_makes_no_thousand_layers_of_all():
+    counts = np.ones(5000, int)
+    counts[17] = 1000
+    rgba = np.full((int(counts.sum()), 4), 0.001, np.float32)
+    held = [stack.shape for _, stack in deepsamples.layers(counts, rgba)]
+    assert held == [(1, 4999, 4), (1024, 1, 4)]
+
+
+def test_every_pixel_is_in_one_stack_with_its_samples_from_the_back():
+    counts = np.array([0, 3, 9, 1, 0, 17, 200])
+    rgba = np.arange(4 * counts.sum(), dtype=np.float32).reshape(-1, 4) + 1
+    begin = np.cumsum(counts) - counts
+    seen = []
+    for pixels, stack in deepsamples.layers(counts, rgba):
+        seen += pixels.tolist()
+        for at, pixel in enumerate(pixels):
+            own = rgba[begin[pixel] : begin[pixel] + counts[pixel]][::-1]
+            assert np.array_equal(stack[: counts[pixel], at], own)
+            assert not stack[counts[pixel] :, at].any()
+            assert len(stack) <= max(8, 1.25 * counts[pixel] + 1)
+    assert sorted(seen) == list(range(len(counts)))
+
+
+def test_no_samples_are_a_transparent_pixel():
+    assert flattened([], []).tolist() == [[0, 0, 0, 0]] * 2
+
+
+def test_hidden_samples_change_nothing_in_any_order():
+    front = [(0.1, 0.0, 0.0, 0.25, 1.0, 1.0), (0.0, 0.5, 0.0, 1.0, 2.0, 2.0)]
+    hidden = [(0.0, 0.0, 0.5, 0.5, 3.0, 4.0), (9.0, 0.0, 0.0, 0.5, 5.0, 5.0)]
+    for order in ORDER_NAMES:
+        found = flattened(front, front + hidden, order=order)
+        assert found[0].tobytes() == found[1].tobytes()

@@ -1,0 +1,747 @@
+"""Findings of a stack: the kernel against the reference, parts against the whole, closed forms."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import math
+from contextlib import nullcontext
+
+import numpy as np
+import pytest
+from strategies import BLENDING_NAMES, OPERATOR_NAMES, valid_color
+from test_kernel import (
+    ALL_ORDERS,
+    CURVES,
+    MODES,
+    ORDERS,
+    SOME_PRIMARIES,
+    STRIDED,
+    WRONG_TYPES,
+    broken,
+    layers_of_labels,
+    make_layer,
+    make_rules,
+    refused,
+    unaligned,
+)
+
+from hpcomp.blending.rules import stack_rules
+from hpcomp.color import encoding
+from hpcomp.color.encoding import ColorEncoding
+from hpcomp.color.samples import Decoding, Strip
+from hpcomp.engine import choice as engine
+from hpcomp.errors import SettingError
+from hpcomp.kernel import _kernel, measuring
+from hpcomp.kernel import fused as kernel
+from hpcomp.measures import findings
+from hpcomp.measures import labels as measures
+from hpcomp.measures.findings import MeasuredStrip
+from hpcomp.measures.histogram import HueHistogram, hue_histogram
+
+ENGINES = {"kernel": measuring, "reference": findings}
+
+# Rounding decides which side of a bin's edge or of a threshold a pixel is on: so many may differ.
+TIES = 2
+# Sums of float32 values, each rounded to a unit of the sum; the shoulder enlarges some roundings.
+SUMS = 2e-5
+# Of provenance: a difference of nearly equal lengths keeps fewer digits than either.
+PLANES = 1e-4
+
+
+def both(rules, strips, width, height, *, bins=360, **settings):
+    """Findings and provenance by the kernel, then by the reference."""
+    chosen = measures.measure_settings(rules, **settings)
+    with np.errstate(all="ignore"):
+        return tuple(
+            module.findings(MeasuredStrip(rules, chosen, bins, strips, width, height, True))
+            for module in ENGINES.values()
+        )
+
+
+def numbers(found):
+    """(name, value) of each number and array of findings but for the histograms of layers."""
+    for name, value in vars(found).items():
+        if dataclasses.is_dataclass(value):
+            yield from ((f"{name}.{inner}", number) for inner, number in numbers(value))
+        elif name == "layers" and isinstance(value[0], HueHistogram):
+            continue
+        elif isinstance(value, tuple):
+            for index, item in enumerate(value):
+                if dataclasses.is_dataclass(item):
+                    yield from ((f"{name}[{index}].{i}", number) for i, number in numbers(item))
+                else:
+                    yield f"{name}[{index}]", item
+        elif not isinstance(value, (str, float)):
+            yield name, value
+
+
+COUNTS = {"count", "grey", "transparent", "nonfinite", "chromatic", "foreign", "pixels",
+          "survived", "unmeasured", "order_sensitive"}  # fmt: skip
+
+
+def assert_agree(rules, strips, width, height, **settings):
+    """Both engines find the same, each as exactly as it must; the kernel's findings."""
+    (ours, our_planes), (theirs, their_planes) = both(rules, strips, width, height, **settings)
+    assert ours.measures.settings == theirs.measures.settings
+    assert ours.layers == theirs.layers
+    compared = set()
+    for (name, mine), (_, other) in zip(numbers(ours), numbers(theirs), strict=True):
+        mine, other = np.asarray(mine), np.asarray(other)
+        assert (mine.dtype, mine.shape) == (other.dtype, other.shape) == (np.int64, mine.shape)
+        error = abs(mine - other)
+        last = name.rpartition(".")[2]
+        compared.add(last)
+        if last in COUNTS:
+            # One that changes sides is missing here and too many there.
+            assert error.sum() <= 2 * TIES, name
+        else:
+            allowed = SUMS * abs(other) + width * height
+            beyond = (error > allowed).reshape(*mine.shape[:1], -1).any(axis=-1)
+            assert np.count_nonzero(beyond) <= 2 * TIES * (mine.ndim > 0), name
+    assert compared >= COUNTS | {"chroma", "alpha", "rgb", "kept", "foreign_chroma", "light[2]"}
+    same = our_planes.layer == their_planes.layer
+    assert np.count_nonzero(~same) <= TIES
+    for name in ("grey", "margin"):
+        mine, other = getattr(our_planes, name), getattr(their_planes, name)
+        assert (mine.dtype, mine.shape) == (np.float32, (height, width))
+        # Where nothing has a hue that a float32 can hold, both are 0 or both are not told apart.
+        assert np.allclose(mine[same], other[same], rtol=PLANES, atol=PLANES, equal_nan=True), name
+    return ours
+
+
+def strips_of(layers):
+    return [Strip(layer) for layer in layers]
+
+
+LAYERS = layers_of_labels(4, 3, 700)
+
+#: A background whose hue is not at a bin's edge, where rounding would choose the bin.
+RED = 0.9, 0.1, 0.23
+
+
+class TestAgreement:
+    def test_the_layers_have_something_of_everything(self):
+        found = assert_agree(stack_rules(4), strips_of(LAYERS), 700, 3)
+        assert found.measures.order_sensitive > 20
+        assert 20 < found.measures.traditional.foreign < found.measures.traditional.chromatic
+        assert found.result.grey > 20
+        assert all(layer.transparent > 20 for layer in found.layers)
+        assert found.result.occupied > 100
+
+    @pytest.mark.parametrize("order", ORDERS)
+    @pytest.mark.parametrize("blending", BLENDING_NAMES)
+    @pytest.mark.parametrize("op", OPERATOR_NAMES)
+    def test_operator_blending_order(self, op, blending, order):
+        rules = stack_rules(4, op=op, blending=blending, order=order)
+        assert_agree(rules, strips_of(LAYERS), 700, 3)
+
+    @pytest.mark.parametrize("background", [None, RED, (0.5, 0.5, 0.5), (0, 0, 0)])
+    @pytest.mark.parametrize("order", ORDERS)
+    def test_background_opacity_exposure(self, order, background):
+        rules = stack_rules(
+            4, order=order, background=background, opacity=[0.25, 1.0, 0.0, 0.7], exposure=2.5
+        )
+        found = assert_agree(rules, strips_of(LAYERS), 700, 3)
+        below = found.measures.result.background
+        assert (below.pixels > 0) == (background == RED)
+
+    @pytest.mark.parametrize("hue_tolerance", [0.0, 0.01, 0.5, 10.0, 90.0])
+    @pytest.mark.parametrize("order", ORDERS)
+    def test_hue_tolerance(self, order, hue_tolerance):
+        rules = stack_rules(4, op="plus", order=order, hue_tolerance=hue_tolerance)
+        assert_agree(rules, strips_of(LAYERS), 700, 3)
+
+    @pytest.mark.parametrize("gray_bias", [0.1, 1.0])
+    @pytest.mark.parametrize("order", ORDERS)
+    def test_gray_bias(self, order, gray_bias):
+        rules = stack_rules(4, op="xor", order=order, gray_bias=gray_bias, background=RED)
+        assert_agree(rules, strips_of(LAYERS), 700, 3)
+
+    @pytest.mark.parametrize("foreign_tolerance", [0.0, 1.0, 90.0, 180.0])
+    @pytest.mark.parametrize("half_step", [0.0, measures.HALF_STEP_8_BIT, 0.1])
+    def test_settings_of_measures(self, half_step, foreign_tolerance):
+        layers = strips_of(LAYERS)
+        if foreign_tolerance == 0:  # rounding decides about any two hues
+            layers = layers[:1]
+        rules = stack_rules(len(layers))
+        found = assert_agree(
+            rules, layers, 700, 3, half_step=half_step, foreign_tolerance=foreign_tolerance
+        )
+        if foreign_tolerance == 180:
+            assert found.measures.traditional.foreign == 0
+
+    @pytest.mark.parametrize("bins", [6, 359, 3600])
+    @pytest.mark.parametrize("achromatic", [0.0, 0.5, 1.0])
+    def test_bins_and_achromatic(self, achromatic, bins):
+        found = assert_agree(
+            stack_rules(4), strips_of(LAYERS), 700, 3, bins=bins, achromatic=achromatic
+        )
+        assert {h.bins for h in (*found.layers, found.result, found.traditional)} == {bins}
+        if achromatic == 1:
+            # Left are colours with a component below 0, or of 0 alone.
+            assert found.result.grey > found.result.chromatic
+
+    @pytest.mark.parametrize("order", [*ORDERS[:4], "shuffled"])
+    @pytest.mark.parametrize("n_layers", [1, 2, 3, 5, 12])
+    def test_any_number_of_layers(self, n_layers, order):
+        rng = np.random.default_rng(n_layers)
+        if order == "shuffled":
+            order = rng.permutation(n_layers).tolist()
+        ops = rng.choice(["over", "dst-over", "atop", "xor", "plus"], n_layers - 1).tolist()
+        rules = stack_rules(n_layers, op=[None, *ops], order=order)
+        assert_agree(rules, strips_of(layers_of_labels(n_layers, 2, 600)), 600, 2)
+
+    @pytest.mark.parametrize("width", [1, 2, 15, 17, 511, 512, 513, 1025])
+    def test_any_width(self, width):
+        for order in ORDERS:
+            rules = stack_rules(4, order=order, background=(0.1, 0.2, 0.3))
+            layers = layers_of_labels(4, 3, width)
+            assert_agree(rules, strips_of(layers), width, 3)
+
+    @pytest.mark.parametrize("size", [1e-38, 1e-30, 1e-12, 1e12, 1e18, 1e30])
+    @pytest.mark.parametrize("order", ORDERS)
+    def test_colours_of_any_size(self, order, size):
+        """Squares of them leave the range of the type; what is too bright is told apart."""
+        layers = LAYERS * np.array([size] * 3 + [1], np.float32)
+        found = assert_agree(stack_rules(4, order=order), strips_of(layers), 700, 3)
+        assert (found.measures.unmeasured > 0) == (size >= 1e18)  # 2**60
+
+    @pytest.mark.parametrize("zero", [False, True])
+    @pytest.mark.parametrize("dtype", [np.float32, np.float16])
+    @pytest.mark.parametrize("order", ORDERS)
+    def test_pixels_that_are_not_finite(self, order, dtype, zero):
+        with np.errstate(over="ignore"):
+            layers = broken(LAYERS).astype(dtype)
+        decoding = Decoding(
+            ColorEncoding(CURVES[1], SOME_PRIMARIES[0]), "premultiplied", False, zero
+        )
+        strips = [Strip(layer, decoding) for layer in layers]
+        found = assert_agree(stack_rules(4, order=order), strips, 700, 3)
+        if zero:
+            assert [layer.nonfinite for layer in found.layers] == [0] * 4
+        else:
+            assert min(layer.nonfinite for layer in found.layers) > 20
+            assert found.measures.unmeasured > 200
+            # What cannot be measured is a pixel of the picture all the same.
+            assert found.result.nonfinite >= found.measures.unmeasured
+        assert found.result.pixels == found.traditional.pixels == 2100
+
+    def test_layers_of_nothing(self):
+        nothing = np.zeros((3, 700, 4), np.float32)
+        found = assert_agree(stack_rules(4), strips_of([nothing] * 4), 700, 3)
+        assert found.result.transparent == 2100
+        found = assert_agree(stack_rules(2), strips_of([nothing, -nothing]), 700, 3)
+        assert found.traditional.transparent == 2100
+        layers = [LAYERS[0], nothing, nothing, LAYERS[1]]
+        found = assert_agree(stack_rules(4), strips_of(layers), 700, 3)
+        assert found.measures.order_sensitive == 0
+
+    @pytest.mark.parametrize("order", ORDERS)
+    def test_layers_that_lie_partly_or_not_at_all_in_the_strip(self, order):
+        places = list(itertools.product([-700, -650, -1, 0, 3, 512, 599, 600], [-3, -1, 0, 2, 4]))
+        rng = np.random.default_rng(5)
+        for chosen in rng.choice(len(places), (6, 4)):
+            strips = [
+                Strip(layer, left=places[place][0], top=places[place][1])
+                for layer, place in zip(LAYERS, chosen, strict=True)
+            ]
+            found = assert_agree(stack_rules(4, order=order, op="xor"), strips, 600, 4)
+            assert all(layer.pixels == 2400 for layer in found.layers)
+        empty = Strip(np.zeros((0, 0, 4), np.float32))
+        rules = stack_rules(4, order=order)
+        assert_agree(rules, [empty, *strips_of(LAYERS[1:])], 700, 3)
+        assert_agree(rules, [empty] * 4, 700, 3)
+
+    @pytest.mark.parametrize("mode", MODES)
+    @pytest.mark.parametrize("channels", [1, 2, 3, 4])
+    @pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float16, np.float32])
+    def test_samples_of_any_kind(self, dtype, channels, mode):
+        rng = np.random.default_rng([channels, np.dtype(dtype).itemsize])
+        values = rng.random((3, 2, 530, channels))
+        if np.dtype(dtype).kind == "u":
+            values *= np.iinfo(dtype).max
+        for curve, primaries in itertools.product(CURVES[:2], SOME_PRIMARIES):
+            decoding = Decoding(ColorEncoding(curve, primaries), mode, stored_straight=True)
+            strips = [Strip(samples.astype(dtype), decoding) for samples in values]
+            assert_agree(stack_rules(3, opacity=0.7), strips, 530, 2)
+
+
+# ---- the same bytes ------------------------------------------------------------------------------
+
+
+def everything(found):
+    """Findings with provenance, to be compared with `==`."""
+    measured, planes = found
+    return measured, [plane.tobytes() for plane in vars(planes).values()]
+
+
+@pytest.mark.parametrize("order", ORDERS)
+def test_every_instruction_set_finds_the_same_bits(monkeypatch, order):
+    rules = stack_rules(4, order=order, background=(0.2, 0.3, 0.1), opacity=0.8)
+    settings = measures.measure_settings(rules)
+    found = []
+    for level in kernel.levels():
+        monkeypatch.setenv(kernel.LEVEL_VARIABLE, level)
+        found.append(
+            [
+                everything(
+                    measuring.findings(MeasuredStrip(rules, settings, 360, strips_of(layers), 700, 3, True))
+                )
+                for layers in (LAYERS, broken(LAYERS))
+            ]
+        )
+    assert len(found) >= 1
+    assert all(other == found[0] for other in found)
+    monkeypatch.setenv(kernel.LEVEL_VARIABLE, "v9")
+    with pytest.raises(SettingError, match="unknown instruction set"):
+        measuring.findings(MeasuredStrip(rules, settings, 360, strips_of(LAYERS), 700, 3))
+
+
+@pytest.mark.parametrize("name", ENGINES)
+@pytest.mark.parametrize("order", ORDERS)
+def test_parts_add_up_to_the_whole_exactly(name, order):
+    module = ENGINES[name]
+    rules = stack_rules(4, order=order, op="xor", background=(0.2, 0.3, 0.1))
+    settings = measures.measure_settings(rules)
+    layers = layers_of_labels(4, 7, 530)
+
+    def found(rows, columns):
+        strip = MeasuredStrip(
+            rules,
+            settings,
+            360,
+            # As the pipeline places them: whole layers, of which a part lies in the strip.
+            [Strip(layer, left=-columns.start, top=-rows.start) for layer in layers],
+            columns.stop - columns.start,
+            rows.stop - rows.start,
+            True,
+        )
+        return module.findings(strip)
+
+    whole, planes = found(slice(0, 7), slice(0, 530))
+    for height, width in ((1, 530), (2, 530), (3, 530), (5, 100), (7, 1000)):
+        total = findings.StackFindings.none(rules, settings, 360)
+        for top, left in itertools.product(range(0, 7, height), range(0, 530, width)):
+            place = slice(top, min(top + height, 7)), slice(left, min(left + width, 530))
+            part, of_part = found(*place)
+            total += part
+            for whole_plane, plane in zip(
+                vars(planes).values(), vars(of_part).values(), strict=True
+            ):
+                assert np.array_equal(whole_plane[place], plane)
+        assert total == whole
+
+
+@pytest.mark.parametrize("order", ORDERS)
+@pytest.mark.parametrize("name", ENGINES)
+def test_findings_beside_a_result_change_neither(name, order, monkeypatch):
+    """Of one pass, they are those of a pass of their own, and so is the result."""
+    monkeypatch.setenv(engine.VARIABLE, name)
+    rules = stack_rules(4, order=order, background=RED, opacity=[1, 0.5, 1, 0.25])
+    strips = strips_of(broken(LAYERS))
+    strip = MeasuredStrip(rules, measures.measure_settings(rules), 90, strips, 700, 3, True)
+
+    def accumulated():
+        accumulator = engine.start(rules, 700, 3)
+        arriving = strips if rules.arrival[0] == 0 else strips[::-1]
+        accumulator.add(list(rules.arrival), arriving)
+        return accumulator
+
+    alone, lost = encoding.Losses(), encoding.Losses()
+    with np.errstate(all="ignore"):
+        samples = accumulated().result("uint8", alone)
+        beside, *found = engine.result_and_findings(accumulated(), "uint8", lost, encoding.REC709, strip)
+        expected, planes = engine.findings(strip)
+    assert beside.tobytes() == samples.tobytes()
+    assert (lost, found[0]) == (alone, expected)
+    for plane, other in zip(vars(found[1]).values(), vars(planes).values(), strict=True):
+        assert np.array_equal(plane, other, equal_nan=True)
+
+
+def test_findings_of_no_pixel_and_of_other_settings():
+    rules = stack_rules(2)
+    none = findings.StackFindings.none(rules, measures.measure_settings(rules), 360)
+    assert none + none == none
+    assert (none.result.pixels, none.measures.pixels) == (0, 0)
+    other = findings.StackFindings.none(
+        rules, measures.measure_settings(rules, foreign_tolerance=1), 360
+    )
+    with pytest.raises(SettingError, match="do not add up"):
+        none + other
+
+
+@pytest.mark.parametrize("name", ENGINES)
+def test_findings_are_those_of_measures_and_histograms(name):
+    rules = stack_rules(4, opacity=[1, 0.5, 1, 0.25])
+    settings = measures.measure_settings(rules, foreign_tolerance=3.0)
+    found, planes = ENGINES[name].findings(MeasuredStrip(rules, settings, 90, strips_of(LAYERS), 700, 3))
+    assert planes is None
+    for histogram, layer, opacity in zip(found.layers, LAYERS, rules.opacities, strict=True):
+        assert histogram == hue_histogram(layer * np.float32(opacity), bins=90)
+    if name == "reference":
+        flat = LAYERS.reshape(4, -1, 4)
+        assert found.measures == measures.measured(rules, settings, flat)[0]
+
+
+def test_the_engine_that_is_chosen_finds(monkeypatch):
+    rules = stack_rules(4)
+    strip = MeasuredStrip(
+        rules, measures.measure_settings(rules), 360, strips_of(LAYERS), 700, 3, True
+    )
+    for name, module in ENGINES.items():
+        monkeypatch.setenv(engine.VARIABLE, name)
+        assert everything(engine.findings(strip)) == everything(module.findings(strip))
+
+
+@pytest.mark.parametrize("name", ENGINES)
+@pytest.mark.parametrize("blending", BLENDING_NAMES)
+def test_every_blending_is_measured(monkeypatch, name, blending):
+    rules = stack_rules(4, blending=blending, op="dst-over", background=RED)
+    strip = MeasuredStrip(
+        rules, measures.measure_settings(rules), 360, strips_of(LAYERS), 700, 3, True
+    )
+    monkeypatch.setenv(engine.VARIABLE, name)
+    (ours, planes), (theirs, their_planes) = engine.findings(strip), findings.findings(strip)
+    for found, expected in zip(ours.measures.result.layers, theirs.measures.result.layers, strict=True):
+        assert abs(found.survived - expected.survived) <= TIES
+        assert found.kept == pytest.approx(expected.kept, rel=SUMS)
+    assert np.count_nonzero(planes.layer != their_planes.layer) <= TIES
+
+
+# ---- closed forms --------------------------------------------------------------------------------
+
+#: In the middle of bins, far from one another.
+HUES = 20.0, 150.0, 265.0
+
+
+def labels(alphas, hues=HUES):
+    """A layer of one straight colour for each hue, at these alphas (layers, h, w)."""
+    colors = np.array([valid_color(hue, 0.9, 0.3) for hue in hues])
+    rgba = np.concatenate([colors, np.ones((len(hues), 1))], axis=1)
+    return (alphas[..., None] * rgba[:, None, None]).astype(np.float32)
+
+
+@pytest.mark.parametrize("order", ORDERS[:4])
+@pytest.mark.parametrize("name", ENGINES)
+def test_three_labels_at_random_opacities_stay_three_hues(name, order):
+    """The paper's claim: three lines in the histogram, where plain + makes a smear."""
+    alphas = np.random.default_rng(9).random((3, 60, 80))
+    rules = stack_rules(3, order=order)
+    settings = measures.measure_settings(rules)
+    found, _ = ENGINES[name].findings(MeasuredStrip(rules, settings, 360, strips_of(labels(alphas)), 80, 60))
+    lines = [set(np.flatnonzero(layer.count)) for layer in found.layers]
+    assert [len(line) for line in lines] == [1, 1, 1]
+    assert set(np.flatnonzero(found.result.count)) == set.union(*lines)
+    assert found.result.count.sum() + found.result.grey == 4800
+    assert found.result.grey > 0
+    assert found.measures.result.foreign == 0
+    assert found.traditional.occupied > 200
+    assert found.measures.traditional.foreign_share > 0.6
+
+
+@pytest.mark.parametrize("name", ENGINES)
+def test_halves_of_one_label_each(name):
+    """Two labels side by side: all is told by the colours."""
+    alphas = np.zeros((2, 4, 700))
+    alphas[0, :, :300] = alphas[1, :, 300:] = 0.5
+    layers = labels(alphas, HUES[:2])
+    rules = stack_rules(2)
+    settings = measures.measure_settings(rules)
+    found, planes = ENGINES[name].findings(MeasuredStrip(rules, settings, 360, strips_of(layers), 700, 4, True))
+    for k, pixels in enumerate((1200, 1600)):
+        histogram, layer = found.layers[k], found.measures.result.layers[k]
+        assert (histogram.chromatic, histogram.transparent) == (pixels, 2800 - pixels)
+        assert histogram.alpha_sums.sum() == pixels / 2
+        assert (layer.pixels, layer.survived, layer.lost) == (pixels, pixels, 0)
+        assert layer.chroma == pytest.approx(histogram.chroma.sum(), rel=1e-6)
+    assert found.result.count.tolist() == sum(found.layers).count.tolist()
+    assert found.measures.result == found.measures.traditional
+    assert found.measures.order_sensitive == 0
+    assert (planes.layer[:, :300] == 1).all()
+    assert (planes.layer[:, 300:] == 2).all()
+    assert (planes.margin == 1).all()
+    assert abs(planes.grey).max() < 1e-6
+
+
+@pytest.mark.parametrize("name", ENGINES)
+def test_provenance_of_two_labels_that_meet(name):
+    alphas = np.array([0.8, 0.2])[:, None, None] * np.ones((2, 1, 600))
+    layers = labels(alphas, (0.0, 180.0))
+    rules = stack_rules(2, op="plus")
+    settings = measures.measure_settings(rules)
+    _, planes = ENGINES[name].findings(MeasuredStrip(rules, settings, 360, strips_of(layers), 600, 1, True))
+    chroma = [np.hypot(*rules.space.forward(layer[0, :1, :3].T)[1])[0] for layer in layers]
+    assert (planes.layer == 1 + int(np.argmax(chroma))).all()
+    small, big = sorted(chroma)
+    assert np.allclose(planes.grey, 1 - (big - small) / (big + small), atol=1e-5)
+    assert np.allclose(planes.margin, 1 - small / big, atol=1e-5)
+
+
+# ---- the door ------------------------------------------------------------------------------------
+
+WIDTH, HEIGHT, BINS = 3, 2, 6
+#: What a result of floats has in place of codes.
+FLOATS = None, None, 1, [0.0] * 4, None, [0.0] * 3
+
+
+def sums(layers=2, bins=BINS):
+    """Zeros for `results`, `hues` and `others`."""
+    return (
+        np.zeros((3, 7 + 4 * (layers + 1)), np.int64),
+        np.zeros((layers + 3, bins, 8), np.int64),
+        np.zeros((layers + 3, 3), np.int64),
+    )
+
+
+def pixels_of(hues, others):
+    """How many pixels each histogram has: the layers', then those of both results."""
+    *layers, blended, traditional, both = (hues[:, :, 0].sum(axis=1) + others.sum(axis=1)).tolist()
+    return [*layers, blended + both, traditional + both]
+
+
+def planes_of(height=HEIGHT, width=WIDTH):
+    return (
+        np.zeros((height, width), np.uint32),
+        np.zeros((height, width), np.float32),
+        np.zeros((height, width), np.float32),
+    )
+
+
+NAMES = ("results", "hues", "others", "layer", "grey", "margin")
+GOOD = dict(zip(NAMES, (*sums(), *planes_of()), strict=True))
+
+
+def measure(**changed):
+    """`_kernel.measure` of two layers, but for what is changed: the pixels that it counts apart."""
+    arguments = {
+        "limits": [1e-5, 0.02, 0.07, 0.99],
+        "depends_on_order": True,
+        "width": WIDTH,
+        "height": HEIGHT,
+        **{name: array.copy() for name, array in GOOD.items()},
+    }
+    stack = {"rules": make_rules(), "layers": [make_layer(), make_layer()], "level": ""}
+    for name, value in changed.items():
+        (stack if name in stack else arguments)[name] = value
+    measures = _kernel.measures(layers=changed.get("count", 2), **arguments)
+    _kernel.measure(measures=measures, **stack)
+    return measures.unmeasured, measures.order_sensitive
+
+
+class TestDoor:
+    """Nothing that Python can pass reads or writes out of bounds: it is refused."""
+
+    def test_what_is_right_is_taken(self):
+        assert measure() == (0, 0)
+        assert measure(layer=None, grey=None, margin=None) == (0, 0)
+
+    @pytest.mark.parametrize("name", NAMES)
+    @pytest.mark.parametrize("dtype", [*WRONG_TYPES, "i8", "f4", "u4"])
+    def test_arrays_of_another_type(self, name, dtype):
+        if np.dtype(dtype) == GOOD[name].dtype:
+            return
+        with refused():
+            measure(**{name: GOOD[name].astype(dtype)})
+
+    @pytest.mark.parametrize("name", NAMES)
+    def test_arrays_of_another_shape(self, name):
+        shape = GOOD[name].shape
+        wrong = [(), (math.prod(shape),), (1, *shape), (*shape, 1), (0,) * len(shape)]
+        for axis, change in itertools.product(range(len(shape)), (-1, 1)):
+            if (name, axis) == ("hues", 1):
+                continue  # of the bins there may be any number
+            wrong.append(tuple(n + change * (k == axis) for k, n in enumerate(shape)))
+        for other in wrong:
+            with refused():
+                measure(**{name: np.zeros(other, GOOD[name].dtype)})
+
+    @pytest.mark.parametrize("rows", [0, (1 << 16) + 1])
+    def test_number_of_bins(self, rows):
+        with refused():
+            measure(hues=np.zeros((5, rows, 8), np.int64))
+
+    @pytest.mark.parametrize("name", NAMES)
+    def test_arrays_that_are_not_one_run(self, name):
+        good = GOOD[name]
+        for other in (
+            good[::-1],
+            np.repeat(good, 2, axis=0)[::2],
+            np.repeat(good, 2, axis=-1)[..., ::2],
+            np.asfortranarray(good),
+            np.broadcast_to(good[:1], good.shape),
+        ):
+            with refused():
+                measure(**{name: other})
+
+    @pytest.mark.parametrize("name", NAMES)
+    def test_arrays_that_cannot_be_written_or_are_not_aligned(self, name):
+        good = GOOD[name]
+        fixed = good.copy()
+        fixed.flags.writeable = False
+        for other in (fixed, unaligned(good.dtype, good.shape)):
+            with refused():
+                measure(**{name: other})
+
+    @pytest.mark.parametrize("name", NAMES)
+    @pytest.mark.parametrize("other", [[[0]], b"0123", 1.0, object()], ids=lambda other: type(other).__name__)
+    def test_arrays_that_are_none(self, name, other):
+        with refused():
+            measure(**{name: other})
+        if name in NAMES[:3]:
+            with refused():
+                measure(**{name: None})
+
+    def test_provenance_is_three_arrays_or_none(self):
+        for given in range(1, 7):
+            missing = {name: None for k, name in enumerate(NAMES[3:]) if not given >> k & 1}
+            if missing:
+                with refused():
+                    measure(**missing)
+
+    @pytest.mark.parametrize(
+        "layers",
+        [[], [None], [None, None], None, [0, 0], "ab"],
+        ids=str,
+    )
+    def test_layers(self, layers):
+        with refused():
+            measure(layers=layers)
+
+    def test_another_number_of_layers(self):
+        for n in (1, 3):
+            with refused():
+                measure(layers=[make_layer()] * n)
+            with refused():
+                measure(rules=make_rules(layers=n))
+        with refused():
+            measure(layers=[make_layer(), None])
+
+    @pytest.mark.parametrize("rules", [None, 0, "over"], ids=repr)
+    def test_rules(self, rules):
+        with refused():
+            measure(rules=rules)
+
+    @pytest.mark.parametrize("limits", [None, [], [0.1] * 3, [0.1] * 5, [None] * 4], ids=str)
+    def test_limits(self, limits):
+        with refused():
+            measure(limits=limits)
+
+    @pytest.mark.parametrize(
+        ("width", "height"),
+        [(0, 2), (3, 0), (-3, 2), (3, -2), (2**31, 2), (3, 2**63), (2**32 + 3, 2), (4, 2), (3, 1),
+         (1.5, 2), (None, 2)],
+    )  # fmt: skip
+    def test_size_of_the_strip(self, width, height):
+        with refused():
+            measure(width=width, height=height)
+
+    @pytest.mark.parametrize("level", ["v9", None, 0])
+    def test_instruction_set(self, level):
+        with refused():
+            measure(level=level)
+
+    @pytest.mark.parametrize("order", ALL_ORDERS)
+    def test_limits_of_any_value(self, order):
+        """Numbers decide what is counted, never where."""
+        strange = [0.0, -1.0, 1e38, math.inf, -math.inf, math.nan]
+        samples = broken(layers_of_labels(2, 2, 520))
+        for value, place, bins in itertools.product(strange, range(4), (1, 6, 65536)):
+            if bins == 65536 and (place, value) != (1, -1.0):
+                continue
+            limits = [1e-5, 0.02, 0.07, 0.99]
+            limits[place] = value
+            results, hues, others = sums(bins=bins)
+            measure(
+                rules=make_rules(order=order, permutation=[1, 0], background=[0.1, 0.2, 0.3]),
+                layers=[make_layer(layer) for layer in samples],
+                width=520,
+                limits=limits,
+                **dict(zip(NAMES, (results, hues, others, *planes_of(2, 520)), strict=True)),
+            )
+            assert pixels_of(hues, others) == [1040] * 4
+
+    @pytest.mark.parametrize("coefficient", [0.0, math.inf, math.nan, 1e38])
+    def test_coefficients_of_any_value(self, coefficient):
+        for order in ALL_ORDERS:
+            rules = make_rules(
+                order=order, permutation=[1, 0], background=[coefficient] * 3, gain=coefficient,
+                weights=[coefficient] * 2, to_p=[coefficient] * 4, from_p=[coefficient] * 6,
+            )  # fmt: skip
+            results, hues, others = sums()
+            layers = [make_layer(layer) for layer in broken(layers_of_labels(2, 2, 3))]
+            measure(rules=rules, layers=layers, results=results, hues=hues, others=others)
+            assert pixels_of(hues, others) == [6] * 4
+
+    @pytest.mark.parametrize("width", [1, 3, 15, 16, 17, 511, 512, 513])
+    def test_nothing_is_written_beside_the_arrays(self, width):
+        for order in ALL_ORDERS:
+            memories, arrays = [], []
+            for good in (*sums(), *planes_of(2, width)):
+                memory = np.full(good.size + 128, 99, good.dtype)
+                array = memory[64:-64].reshape(good.shape)
+                array[...] = 0
+                memories.append(memory)
+                arrays.append(array)
+            layers = layers_of_labels(2, 2, width)
+            measure(
+                rules=make_rules(order=order, permutation=[1, 0]),
+                layers=[make_layer(layer) for layer in layers],
+                width=width,
+                **dict(zip(NAMES, arrays, strict=True)),
+            )
+            for memory in memories:
+                assert (memory[:64] == 99).all()
+                assert (memory[-64:] == 99).all()
+
+    def test_sums_are_added_to_and_provenance_is_set(self):
+        layers = [make_layer(layer) for layer in layers_of_labels(2, 2, 3)]
+        once, twice = sums(), sums()
+        planes = planes_of()
+        measure(layers=layers, **dict(zip(NAMES, (*once, *planes), strict=True)))
+        again = [np.full_like(plane, 7) for plane in planes]
+        for _ in range(2):
+            measure(layers=layers, **dict(zip(NAMES, (*twice, *again), strict=True)))
+        for one, two in zip(once, twice, strict=True):
+            assert np.array_equal(2 * one[..., : one.shape[-1]], two)
+        for one, two in zip(planes, again, strict=True):
+            assert np.array_equal(one, two)
+
+    @pytest.mark.parametrize("changed", [{"layers": 3}, {"width": 4}, {"height": 1}])
+    def test_measures_belong_to_one_strip(self, changed):
+        size = {"layers": 2, "width": WIDTH, "height": HEIGHT, **changed}
+        good = (*sums(size["layers"]), *planes_of(size["height"], size["width"]))
+        measures_of_another = _kernel.measures(
+            limits=[1e-5, 0.02, 0.07, 0.99],
+            depends_on_order=True,
+            **size,
+            **dict(zip(NAMES, good, strict=True)),
+        )
+        accumulator = _kernel.Accumulator(make_rules(), WIDTH, HEIGHT)
+        accumulator.add([0, 1], [make_layer(), make_layer()])
+        out = np.empty((HEIGHT, WIDTH, 4), np.float32)
+        with refused():
+            accumulator.result(out, *FLOATS, measures_of_another)
+
+    @pytest.mark.parametrize("at_once", [1, 2])
+    def test_layers_are_measured_when_all_come_at_once(self, at_once):
+        wanted = _kernel.measures(
+            limits=[1e-5, 0.02, 0.07, 0.99],
+            depends_on_order=True,
+            layers=2,
+            width=WIDTH,
+            height=HEIGHT,
+            **dict(zip(NAMES, (*sums(), *planes_of()), strict=True)),
+        )
+        accumulator = _kernel.Accumulator(make_rules(), WIDTH, HEIGHT)
+        for begin in range(0, 2, at_once):
+            numbers = list(range(begin, begin + at_once))
+            accumulator.add(numbers, [make_layer() for _ in numbers])
+        out = np.empty((HEIGHT, WIDTH, 4), np.float32)
+        with nullcontext() if at_once == 2 else refused():
+            accumulator.result(out, *FLOATS, wanted)
+
+    @pytest.mark.parametrize("stride", STRIDED)
+    def test_layers_are_checked_where_they_are_made(self, stride):
+        with refused():
+            measure(layers=[make_layer(STRIDED[stride](np.zeros((2, 3, 4), np.float32)))] * 2)

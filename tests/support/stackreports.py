@@ -1,0 +1,96 @@
+"""Reports of small stacks for tests: three labels over grey, and names that mean harm."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+import hpcomp
+from hpcomp.blending.rules import stack_rules
+from hpcomp.color.encoding import Losses, to_straight_srgb
+from hpcomp.measures.findings import findings_of
+from hpcomp.measures.labels import ENERGY_WEIGHTS, measure_settings
+from hpcomp.report.stackreport import Preview, StackReport
+
+SIZE = 48, 32
+
+#: Names that a page must show and not obey.
+HOSTILE = (
+    "<img src=x onerror=window.harmed=1>.png",
+    "\"'><script>window.harmed=1</script>",
+    "a\nb\x1b[31m\x00.png",
+    "\u202egnp.exe",
+    "\udcff\udc80.png",
+    "שלום & <b>.png",
+    "x" * 300,
+    "javascript:window.harmed=1",
+)
+
+
+def disc(x: float, y: float, radius: float, rgb: Sequence[float], alpha: float) -> np.ndarray:
+    """(h, w, 4) float32: a disc of one straight colour at that alpha, premultiplied."""
+    rows, columns = np.mgrid[: SIZE[1], : SIZE[0]]
+    pixels = np.zeros((SIZE[1], SIZE[0], 4), np.float32)
+    pixels[(columns - x) ** 2 + (rows - y) ** 2 < radius**2] = (*(alpha * np.array(rgb)), alpha)
+    return pixels
+
+
+#: Grey below, three labels that overlap above, and transparent corners.
+LAYERS = (
+    disc(24, 16, 23, (0.4, 0.4, 0.4), 1.0),
+    disc(16, 12, 11, (0.9, 0.1, 0.1), 0.8),
+    disc(30, 12, 11, (0.8, 0.7, 0.0), 0.7),
+    disc(23, 21, 10, (0.1, 0.2, 0.9), 0.6),
+)
+LABELS = ("layer 0 (base.png)", "layer 1 (red.png)", "layer 2 (roads: yellow.png)", "layer 3 (blue.exr)")
+
+
+def report_of(
+    layers: Sequence[np.ndarray] = LAYERS,
+    labels: Sequence[str] = LABELS,
+    *,
+    bins: int = 360,
+    preview: bool = True,
+    **rules: Any,
+) -> StackReport:
+    """The report of a stack of arrays, as the pipeline makes it of files."""
+    checked = stack_rules(len(layers), **rules)
+    flat = [layer.reshape(-1, 4) for layer in layers]
+    findings, provenance = findings_of(checked, measure_settings(checked), flat, bins)
+    shape = layers[0].shape[:2]
+
+    def shown(blending: str) -> np.ndarray:
+        composited = hpcomp.composite(layers, **{**rules, "blending": blending})
+        return to_straight_srgb(composited, np.uint8, Losses())
+
+    pictures = Preview(
+        shown(checked.blending.name), shown("traditional"), provenance.layer.reshape(shape), 4
+    )
+    return StackReport(
+        output="map.png",
+        command=shlex.join(["hpcomp", "stack", "base.png", "roads.png::opacity=0.6", "-o", "map.png"]),
+        version="1.2.3",
+        engine="kernel",
+        settings={"blending": checked.blending.name, "order": checked.order.name},
+        labels=tuple(labels),
+        findings=findings,
+        energy_weights=ENERGY_WEIGHTS,
+        preview=pictures if preview else None,
+    )
+
+
+def hostile_report() -> StackReport:
+    """Everything that a report is given as text is hostile."""
+    layers = [LAYERS[k % len(LAYERS)] for k in range(len(HOSTILE))]
+    return replace(
+        report_of(layers, HOSTILE),
+        output=HOSTILE[0],
+        command=shlex.join(["hpcomp", "stack", *HOSTILE, "-o", HOSTILE[1]]),
+        settings={HOSTILE[0]: HOSTILE[1], "blending": HOSTILE[1]},
+        version=HOSTILE[0],
+        engine=HOSTILE[1],
+    )
