@@ -27,7 +27,7 @@ RED, BLUE, GREY = (0.8, 0.05, 0.05), (0.05, 0.1, 0.8), (0.3, 0.3, 0.3)
 # ---- the page ------------------------------------------------------------------------------------
 
 BLOCK = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
-LANGUAGES = {"sh", "text", "make", "ninja"}
+LANGUAGES = {"sh", "text", "make", "ninja", "python"}
 
 
 def recipes():
@@ -55,10 +55,10 @@ def steps(number):
     return found
 
 
-def test_there_are_ten_recipes_and_the_list_at_the_top_names_them():
+def test_there_are_eleven_recipes_and_the_list_at_the_top_names_them():
     listed = re.findall(r"^(\d+)\. \[(.*)\]\(#.*\)$", PAGE, re.MULTILINE)
     assert listed == [(str(number), title) for number, (title, _) in RECIPES.items()]
-    assert list(RECIPES) == list(range(1, 11))
+    assert list(RECIPES) == list(range(1, 12))
 
 
 def test_every_block_of_the_page_belongs_to_a_recipe_and_is_of_a_kind_that_is_run():
@@ -367,3 +367,12 @@ def test_10_failing(kitchen):
     failed = sh("make")
     assert failed.returncode == 2
     assert "--max-foreign" in failed.stderr
+
+
+def test_11_python(kitchen):
+    (run,) = cook(11)
+    assert run.stderr == ""
+    assert pixels("half.exr") == pytest.approx(pixels("rivers.exr") / 2)
+    assert json.loads(Path("hues.json").read_text())["schema"] == "hpcomp.hues"
+    assert json.loads(Path("palette.json").read_text())["schema"] == "hpcomp.palette"
+    assert 'type="range"' in Path("map.html").read_text()
