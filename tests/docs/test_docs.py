@@ -1,4 +1,4 @@
-"""What README, man pages, docstrings and types say is true of the installed package."""
+"""What README, man pages, the reference, docstrings and types say is true of the installed package."""
 
 import ast
 import importlib.metadata
@@ -34,7 +34,12 @@ from hpcomp.layers.layerspec import LAYER_KEYS
 
 ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
-MAN1 = ROOT / "man" / "man1"
+MAN = ROOT / "man"
+REFERENCE = (MAN / "REFERENCE.md").read_text(encoding="utf-8")
+
+#: The pages of the manual that are written in Markdown, by name and section.
+WRITTEN = {path.name.removesuffix(".md"): path for path in sorted(MAN.glob("hpcomp-*.md"))}
+ROFF = sorted(MAN.glob("man[0-9]/*"))
 
 
 def load_generate():
@@ -71,11 +76,15 @@ def words(text):
     return " ".join(text.split())
 
 
-def readme_section(name):
-    """What README.md says of one command in its reference, without Markdown's escapes."""
-    reference = README.partition("<!-- begin generated: reference -->")[2]
-    found = re.search(rf"^### {name}\n(.*?)^(?:###? |<!--)", reference, re.MULTILINE | re.DOTALL)
-    assert found, f"README.md has no section '{name}'"
+def written(name):
+    """The Markdown of a page such as hpcomp-files.7."""
+    return WRITTEN[name].read_text(encoding="utf-8")
+
+
+def reference_section(name):
+    """What REFERENCE.md says of one command, without Markdown's escapes."""
+    found = re.search(rf"^## {name}\n(.*?)^## ", REFERENCE, re.MULTILINE | re.DOTALL)
+    assert found, f"REFERENCE.md has no section '{name}'"
     return words(re.sub(r"\\([\\*_<])", r"\1", found[1]))
 
 
@@ -85,7 +94,9 @@ ESCAPE = re.compile(r"\\(?:f[BIR]|\(..|.)")
 
 
 def man_source(name):
-    return (MAN1 / f"{name.replace(' ', '-')}.1").read_text(encoding="utf-8")
+    """The roff of the page of a command, or of another such as hpcomp-files.7."""
+    page = name if name in WRITTEN else f"{name.replace(' ', '-')}.1"
+    return (MAN / f"man{page[-1]}" / page).read_text(encoding="utf-8")
 
 
 def man_text(source):
@@ -102,7 +113,7 @@ def man_sections(name):
 # ---- the generated pages -------------------------------------------------------------------------
 
 
-def test_readme_and_man_pages_are_what_the_command_says_now():
+def test_reference_and_man_pages_are_what_the_command_says_now():
     stale = [path.name for path in generate.stale(generate.generated())]
     assert stale == [], "run: python man/generate.py"
 
@@ -110,8 +121,7 @@ def test_readme_and_man_pages_are_what_the_command_says_now():
 @pytest.fixture
 def copied(tmp_path):
     """A copy of what `generate.py` reads and writes."""
-    shutil.copytree(ROOT / "man", tmp_path / "man", ignore=shutil.ignore_patterns("__pycache__"))
-    shutil.copy(ROOT / "README.md", tmp_path)
+    shutil.copytree(MAN, tmp_path / "man", ignore=shutil.ignore_patterns("__pycache__"))
     return tmp_path
 
 
@@ -130,38 +140,61 @@ def test_neither_terminal_nor_locale_nor_directory_changes_the_pages(copied):
     assert (run.returncode, run.stdout, run.stderr) == (0, "", "")
 
 
-def edit_readme(root, old, new):
-    path = root / "README.md"
+def edit(path, old, new):
     text = path.read_text(encoding="utf-8")
     assert text.count(old) == 1
     path.write_text(text.replace(old, new), encoding="utf-8")
 
 
 DAMAGES = {
-    "README.md": lambda root: edit_readme(root, "### hpcomp info", "### info"),
-    "man/man1/hpcomp.1": lambda root: (root / "man/man1/hpcomp.1").unlink(),
-    "man/man1/hpcomp-stack.1": lambda root: (root / "man/man1/hpcomp-stack.1").write_text("old"),
-    "man/man1/hpcomp-gone.1": lambda root: (root / "man/man1/hpcomp-gone.1").touch(),
+    "man/REFERENCE.md": lambda path: edit(path, "## hpcomp info", "## info"),
+    "man/man1/hpcomp.1": lambda path: path.unlink(),
+    "man/man1/hpcomp-stack.1": lambda path: path.write_text("old"),
+    "man/man1/hpcomp-gone.1": lambda path: path.touch(),
+    "man/man7/hpcomp-files.7": lambda path: edit(path, "WHAT IS NOT READ", "WHAT IS READ"),
+    "man/man5/hpcomp-gone.5": lambda path: path.touch(),
+    "man/hpcomp-blending.7.md": lambda path: edit(path, "| `xor` |", "| `XOR` |"),
 }
 
 
 @pytest.mark.parametrize("name", DAMAGES)
 def test_check_names_what_is_stale_and_writing_mends_it(copied, name):
-    DAMAGES[name](copied)
+    DAMAGES[name](copied / name)
     check = run_generate(copied, "--check")
     assert (check.returncode, check.stdout) == (1, "")
     assert re.fullmatch(rf"{re.escape(name)} is stale: .*\n", check.stderr)
     assert run_generate(copied).returncode == 0
     assert run_generate(copied, "--check").returncode == 0
-    for path in [Path("README.md"), *(p.relative_to(ROOT) for p in MAN1.iterdir())]:
-        assert (copied / path).read_bytes() == (ROOT / path).read_bytes()
+    for path in [MAN / "REFERENCE.md", *WRITTEN.values(), *ROFF]:
+        assert (copied / path.relative_to(ROOT)).read_bytes() == path.read_bytes()
+    assert not (copied / "man/man1/hpcomp-gone.1").exists()
 
 
-def test_a_missing_marker_is_an_error(copied):
-    edit_readme(copied, "<!-- end generated: exit codes -->", "")
+def test_a_page_without_its_roff_gets_it_in_a_folder_that_may_be_new(copied):
+    shutil.rmtree(copied / "man" / "man5")
+    assert run_generate(copied).returncode == 0
+    page = copied / "man" / "man5" / "hpcomp-jobs.5"
+    assert page.read_text(encoding="utf-8") == man_source("hpcomp-jobs.5")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("<!-- end generated: operators -->", "", "operators"),
+        ("<!-- begin generated: operators -->", "", "operators"),
+        ("# hpcomp-blending(7): how", "# hpcomp-blending(1): how", "hpcomp-blending(7)"),
+    ],
+)
+def test_a_page_without_a_marker_or_a_title_is_an_error(copied, old, new, message):
+    edit(copied / "man" / "hpcomp-blending.7.md", old, new)
     run = run_generate(copied)
     assert run.returncode == 1
-    assert "exit codes" in run.stderr
+    assert message in run.stderr
+
+
+def test_a_marker_with_an_unknown_name_is_an_error():
+    with pytest.raises(ValueError, match=r"'colours'.*operators"):
+        generate.with_parts("<!-- begin generated: colours -->\n<!-- end generated: colours -->\n")
 
 
 def test_a_help_text_that_no_page_could_show_is_refused():
@@ -193,9 +226,10 @@ def test_a_line_never_becomes_a_request(start):
 
 
 def test_every_command_has_a_page_and_a_section():
-    assert {p.name for p in MAN1.iterdir()} == {f"{n.replace(' ', '-')}.1" for n in TREE}
-    headings = re.findall(r"^### (hpcomp.*)$", README, re.MULTILINE)
-    assert headings == list(TREE)
+    pages = {path.name for path in ROFF}
+    assert pages == {f"{n.replace(' ', '-')}.1" for n in TREE} | set(WRITTEN)
+    headings = re.findall(r"^## (.*)$", REFERENCE, re.MULTILINE)
+    assert headings == [*TREE, "Exit codes"]
 
 
 @pytest.mark.parametrize("name", COMMANDS)
@@ -205,14 +239,14 @@ def test_the_main_page_lists_the_command_and_the_summaries_agree(name):
     assert command.short_help == help_line
     assert words(inspect.cleandoc(command.help)).startswith(help_line)
     assert f"hpcomp-{name}(1) {help_line}" in man_text(man_sections("hpcomp")["COMMANDS"])
-    assert help_line in readme_section(f"hpcomp {name}")
+    assert help_line in reference_section(f"hpcomp {name}")
     purpose = f"{help_line[0].lower()}{help_line[1:].rstrip('.')}"
     assert man_text(man_sections(f"hpcomp {name}")["NAME"]) == f"hpcomp-{name} - {purpose}"
 
 
 @pytest.mark.parametrize(("name", "option"), OPTIONS, ids=lambda v: v if type(v) is str else v.name)
-def test_every_option_is_in_readme_and_in_its_man_page(name, option):
-    section, page = readme_section(name), man_text(man_sections(name)["OPTIONS"])
+def test_every_option_is_in_the_reference_and_in_its_man_page(name, option):
+    section, page = reference_section(name), man_text(man_sections(name)["OPTIONS"])
     for spelling in (*option.opts, *option.secondary_opts):
         assert re.search(rf"- `[^`]*(?<![\w-]){spelling}\b(?!-)", section)
         assert re.search(rf"(?<![\w-]){spelling}\b(?!-)", page)
@@ -232,7 +266,7 @@ def test_every_option_is_in_readme_and_in_its_man_page(name, option):
 
 def test_every_layer_key_is_documented():
     for key in LAYER_KEYS:
-        assert f"- `{key}=" in readme_section("hpcomp stack")
+        assert f"- `{key}=" in reference_section("hpcomp stack")
         assert f".TP\n\\fB{key}=\\fR\\fI" in man_sections("hpcomp stack")["DESCRIPTION"]
 
 
@@ -245,27 +279,31 @@ def test_every_layer_key_is_documented():
 )  # fmt: skip
 def test_every_value_is_documented(names):
     page = man_text(man_source("hpcomp stack"))
+    explained = words(" ".join([REFERENCE, *map(written, WRITTEN)]))
     for name in names:
-        for text in (words(README), page):
+        for text in (explained, page):
             assert re.search(rf"(?<![\w-]){name}(?![\w-])", text), name
 
 
 def test_gravities_are_named_by_the_words_of_the_table():
-    shown = re.findall(r"\b(?:center|(?:north|south|east|west)(?:-east|-west)?)\b", README)
+    shown = re.findall(r"\b(?:center|(?:north|south|east|west)(?:-east|-west)?)\b", REFERENCE)
     assert set(shown) <= set(GRAVITIES)
     assert len(set(shown)) >= 3
 
 
-def readme_table(name):
-    """The rows of a generated table as lists of cells, its two head lines left out."""
-    part = README.partition(f"<!-- begin generated: {name} -->")[2]
-    part = part.partition(f"<!-- end generated: {name} -->")[0]
-    rows = [line for line in part.splitlines() if line.startswith("|")]
+def table(text):
+    """The rows of a table as lists of cells, its two head lines left out."""
+    rows = [line for line in text.splitlines() if line.startswith("|")]
     return [[cell.strip() for cell in row.strip("|").split("|")] for row in rows[2:]]
 
 
-def test_the_operators_of_readme_are_those_of_the_table():
-    rows = readme_table("operators")
+def generated_table(page, name):
+    part = written(page).partition(f"<!-- begin generated: {name} -->")[2]
+    return table(part.partition(f"<!-- end generated: {name} -->")[0])
+
+
+def test_the_operators_of_the_page_are_those_of_the_table():
+    rows = generated_table("hpcomp-blending.7", "operators")
     assert [row[0].strip("`") for row in rows] == list(OPERATORS)
     for name, aliases, factor_a, factor_b in rows:
         operator = OPERATORS[name.strip("`")]
@@ -276,11 +314,26 @@ def test_the_operators_of_readme_are_those_of_the_table():
             assert shown == pytest.approx([float(f) for f in operator.factors(alpha_a, alpha_b)])
 
 
+@pytest.mark.parametrize(
+    ("page", "heading", "names"),
+    [
+        ("hpcomp-blending.7", "Orders", ORDERS),
+        ("hpcomp-blending.7", "Blending spaces", SPACES),
+        ("hpcomp-files.7", "Colour spaces", COLOR_SPACES),
+        ("hpcomp-reports.7", "Provenance", ["layer", "grey", "margin"]),
+    ],
+)
+def test_a_section_explains_every_name_of_its_table(page, heading, names):
+    section = re.search(rf"^## {heading}\n(.*?)(?=^## )", written(page) + "## ", re.M | re.S)[1]
+    explained = re.findall(r"^(?:- |\| )`(.*?)`(?::| \|)", section, re.MULTILINE)
+    assert set(names) <= set(explained)
+
+
 # ---- exit codes ----------------------------------------------------------------------------------
 
 
-def test_the_exit_codes_of_readme_are_those_of_the_enum():
-    assert readme_table("exit codes") == [
+def test_the_exit_codes_of_the_reference_are_those_of_the_enum():
+    assert table(REFERENCE.partition("## Exit codes")[2]) == [
         [str(code.value), EXIT_CODE_MEANINGS[code]] for code in ExitCode
     ]
 
@@ -295,15 +348,22 @@ def test_the_exit_codes_of_the_man_page_are_those_of_the_enum(name):
 
 # ---- man pages -----------------------------------------------------------------------------------
 
-REQUESTS = {".TH", ".SH", ".PP", ".TP", ".RS", ".RE", ".nf", ".fi", ".nh", ".ad"}
+REQUESTS = {".TH", ".SH", ".PP", ".TP", ".IP", ".RS", ".RE", ".nf", ".fi", ".sp", ".nh", ".ad",
+            ".TS", ".TE"}  # fmt: skip
+SECTIONS = {"1": "User Commands", "5": "File Formats", "7": "Concepts"}
 
 
-@pytest.mark.parametrize("name", TREE)
+@pytest.mark.parametrize("name", [*TREE, *WRITTEN])
 def test_man_page_is_sound_roff(name):
     comment, title, *lines = man_source(name).splitlines()
+    if ".TS" in lines:  # tables are set by tbl: man looks for this line
+        assert comment == "'\\\" t"
+        comment, title, *lines = title, *lines
     assert comment.startswith('.\\" ')
-    page = name.replace(" ", "\\-")
-    assert title == f'.TH {page.upper()} 1 "" "hpcomp {hpcomp.__version__}" "User Commands"'
+    page, section = name.split(".") if name in WRITTEN else (name.replace(" ", "-"), "1")
+    page = page.replace("-", "\\-").upper()
+    version = f"hpcomp {hpcomp.__version__}"
+    assert title == f'.TH {page} {section} "" "{version}" "{SECTIONS[section]}"'
     for line in lines:
         if line.startswith("."):
             assert line.split()[0] in REQUESTS
@@ -312,8 +372,13 @@ def test_man_page_is_sound_roff(name):
         assert not line.startswith("'")
         assert {m[0] for m in ESCAPE.finditer(line)} <= {*ESCAPES, r"\fB", r"\fI", r"\fR"}
         assert "-" not in line.replace(r"\-", "")
-        assert len(re.findall(r"\\f[BI]", line)) == line.count(r"\fR")
-    for begin, end in ((".nf", ".fi"), (".RS 4", ".RE")):
+    # A paragraph, whose lines may break between the words of one literal, ends in the usual font.
+    for paragraph in re.split(r"^\..*\n", "\n".join(lines) + "\n", flags=re.MULTILINE):
+        fonts = re.findall(r"\\f([BIR])", paragraph)
+        assert all(font in "BI" for font in fonts[::2])
+        assert all(font == "R" for font in fonts[1::2])
+        assert len(fonts) % 2 == 0
+    for begin, end in ((".nf", ".fi"), (".RS 4", ".RE"), (".TS", ".TE")):
         assert lines.count(begin) == lines.count(end)
 
 
@@ -326,8 +391,48 @@ def test_man_page_has_its_sections_in_the_usual_order(name):
     assert sections == [section for section in usual if section in sections]
     for section in ("NAME", "SYNOPSIS", "DESCRIPTION", "OPTIONS", "EXIT STATUS", "SEE ALSO"):
         assert section in sections
-    others = {f"{n.replace(' ', '-')}(1)" for n in TREE if n != name}
-    assert others == set(re.findall(r"[\w-]+\(1\)", man_text(man_sections(name)["SEE ALSO"])))
+
+
+@pytest.mark.parametrize("name", [*TREE, *WRITTEN])
+def test_man_page_names_all_other_pages(name):
+    pages = {n: f"{n.replace(' ', '-')}(1)" for n in TREE}
+    pages |= {n: "{}({})".format(*n.split(".")) for n in WRITTEN}
+    del pages[name]
+    shown = re.findall(r"hpcomp[\w-]*\(\d\)", man_text(man_sections(name)["SEE ALSO"]))
+    assert sorted(shown) == sorted(pages.values())
+
+
+@pytest.mark.parametrize("name", WRITTEN)
+def test_man_page_says_what_its_markdown_says(name):
+    text = re.sub(r"<!--.*?-->|^!\[.*$", "", written(name), flags=re.MULTILINE)
+    title, _, text = text.partition("\n")
+    purpose = title.partition(": ")[2]
+    sections = man_sections(name)
+    assert man_text(sections["NAME"]) == f"{name.split('.')[0]} - {purpose}"
+    headings = re.findall(r"^## (.*)$", text, re.MULTILINE)
+    assert list(sections) == ["NAME", "DESCRIPTION", *map(str.upper, headings), "SEE ALSO"]
+    # What is markup in either, and not a word.
+    text = re.sub(r"^## .*$|^```\w*$|^\|[-| ]+\|$|^(?:- |\d\. )", "", text, flags=re.MULTILINE)
+    text = re.sub(r"\[([^\]]*)\]\((.*?)\)", r"\1 <\2>", text).replace("`: ", " ")
+    page = man_source(name).partition('.SH "DESCRIPTION"')[2].partition('.SH "SEE ALSO"')[0]
+    page = re.sub(r"^tab\(\|\);\n.*\n.*\.$|^_$|T\{$|^T\}", "", page, flags=re.MULTILINE)
+    marks = str.maketrans("|", " ", "`*")
+    assert man_text(page).translate(marks).split() == text.translate(marks).split()
+
+
+def test_man_shows_every_page_without_a_warning():
+    man = shutil.which("man")
+    if man is None:
+        pytest.skip("no man here")
+    for page in ROFF:
+        run = subprocess.run(
+            [man, "--warnings", "-l", page],
+            env={**os.environ, "LC_ALL": "C.UTF-8", "MANWIDTH": "100", "PAGER": "cat"},
+            capture_output=True,
+            text=True,
+        )
+        assert (run.returncode, run.stderr) == (0, "")
+        assert "EXIT STATUS" in run.stdout or "SEE ALSO" in run.stdout
 
 
 def test_the_examples_of_a_help_text_are_in_its_man_page_as_they_are():
@@ -342,30 +447,29 @@ def test_man_pages_are_installed_where_man_looks():
     installed = {
         Path(file.locate()).resolve()
         for file in importlib.metadata.files("hpcomp")
-        if file.match("share/man/man1/*")
+        if file.match("share/man/man*/*")
     }
-    assert {path.name for path in installed} == {path.name for path in MAN1.iterdir()}
+    # Beside the command: there man finds it when the environment's bin is in PATH.
+    place = (Path(sys.prefix) / "share" / "man").resolve()
+    assert {path.relative_to(place) for path in installed} == {p.relative_to(MAN) for p in ROFF}
     for path in installed:
         assert path.is_file()
-        # Beside the command: there man finds it when the environment's bin is in PATH.
-        assert path.parent == (Path(sys.prefix) / "share" / "man" / "man1").resolve()
 
 
-# ---- the examples of README ----------------------------------------------------------------------
+# ---- the examples of the manual -------------------------------------------------------------------
 
 SIZE = (48, 64)
 
-#: Lines of README's shell examples that are not commands of hpcomp: other tests run them.
-SETUP_LINES = {"sh samples/quickstart.sh", "sh tests/run.sh", "pip install ."}
+MANUAL = "\n".join([REFERENCE, *map(written, WRITTEN)])
 
 
-def code_blocks(language):
-    return re.findall(rf"^```{language}\n(.*?)^```$", README, re.MULTILINE | re.DOTALL)
+def code_blocks(language, text=MANUAL):
+    return re.findall(rf"^```{language}\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
 
 
 def shell_lines():
     joined = "".join(code_blocks("sh")).replace("\\\n", " ")
-    return [line for line in joined.splitlines() if line.strip()]
+    return list(dict.fromkeys(line for line in joined.splitlines() if line.strip()))
 
 
 HPCOMP_LINES = [line for line in shell_lines() if re.match(r"(.* \| )?hpcomp ", line)]
@@ -380,7 +484,7 @@ def layer(color, rows=slice(0, SIZE[0]), columns=slice(0, SIZE[1]), alpha=1.0):
 
 @pytest.fixture
 def workplace(tmp_path, monkeypatch):
-    """A directory with small layers of the names that README uses, and hpcomp in PATH."""
+    """A directory with small layers of the names that the manual uses, and hpcomp in PATH."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("PATH", f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}")
     above, below = slice(4, 30), slice(20, 44)
@@ -410,11 +514,11 @@ def workplace(tmp_path, monkeypatch):
     return tmp_path
 
 
-def test_every_shell_line_of_readme_is_known():
-    assert len(HPCOMP_LINES) >= 8
-    assert {line for line in shell_lines() if line not in HPCOMP_LINES} == SETUP_LINES
-    for line in SETUP_LINES:
-        assert (ROOT / line.split()[-1]).exists()
+def test_every_shell_line_of_the_manual_is_a_command_of_hpcomp():
+    assert len(HPCOMP_LINES) >= 40
+    assert shell_lines() == HPCOMP_LINES
+    languages = set(re.findall(r"^```(\w+)$", MANUAL, re.MULTILINE))
+    assert languages == {"sh", "python", "toml", "make", "text"}  # text: usage lines
 
 
 #: Lines that make many files, or write jobs: their messages and outputs are not those of others.
@@ -423,7 +527,7 @@ BATCH_LINES = [
 ]
 
 
-def test_the_batches_of_readme_run_in_their_order(workplace):
+def test_the_batches_of_the_manual_run_in_their_order(workplace):
     (jobs,) = code_blocks("toml")
     (workplace / "jobs.toml").write_text(jobs)
     assert len(BATCH_LINES) >= 8
@@ -436,13 +540,13 @@ def test_the_batches_of_readme_run_in_their_order(workplace):
     for name in ("overview.png", "flooded.png", *(f"out.{n:04d}.exr" for n in (1, 2, 3))):
         assert hpcomp.read_layer(name).pixels.any()
     (record, _) = map(json.loads, (workplace / "jobs.log").read_text().splitlines())
-    keys = README.partition("`--log` has a line of JSON")[2].partition("What was done")[0]
+    keys = written("hpcomp-jobs.5").partition("## Log")[2].partition("## ")[0]
     shown = re.findall(r"`(\w+)`", " ".join(re.findall(r"^\| (`.*?) \|", keys, re.MULTILINE)))
     assert sorted(shown) == sorted(record)
 
 
 @pytest.mark.parametrize("line", [line for line in HPCOMP_LINES if line not in BATCH_LINES])
-def test_the_commands_of_readme_run(workplace, line):
+def test_the_commands_of_the_manual_run(workplace, line):
     outputs = re.findall(r"(?:-o|>|--report|--provenance|--depfile) ([\w.]+)", line)
     for name in outputs:
         (workplace / name).unlink(missing_ok=True)
@@ -460,15 +564,19 @@ def test_the_commands_of_readme_run(workplace, line):
     assert bool(run.stdout) == (not outputs)
 
 
-def test_the_two_pictures_of_the_first_example_differ(workplace):
-    commands = [line for line in HPCOMP_LINES if "roads.png" in line and "rivers.exr" in line][:2]
+def test_the_pictures_of_both_blendings_differ(workplace):
+    commands = [
+        "hpcomp stack base.png 'roads.png::opacity=0.6' rivers.exr -o map.png",
+        "hpcomp stack base.png 'roads.png::opacity=0.6' rivers.exr --blending traditional -o plain.png",
+    ]
     for line in commands:
+        assert line in HPCOMP_LINES
         assert subprocess.run(["sh", "-c", line]).returncode == 0
     hue_preserving, plain = (hpcomp.read_layer(name).pixels for name in ("map.png", "plain.png"))
     assert np.abs(hue_preserving - plain).max() > 0.05
 
 
-def test_the_makefile_of_readme_makes_its_target(workplace):
+def test_the_makefile_of_the_manual_makes_its_target(workplace):
     (makefile,) = code_blocks("make")
     rule, *recipe = makefile.splitlines()
     target, _, sources = rule.partition(": ")
@@ -483,51 +591,178 @@ def test_the_makefile_of_readme_makes_its_target(workplace):
 
 
 @pytest.mark.parametrize("number", range(len(code_blocks("python"))))
-def test_the_python_examples_of_readme_print_what_they_say(workplace, capsys, number):
+def test_the_python_examples_of_the_manual_print_what_they_say(workplace, capsys, number):
     code = code_blocks("python")[number]
-    expected = re.findall(r"^\s*print\(.*\)  # (.*)$", code, re.MULTILINE)
+    expected = printed(code)
     assert expected
-    exec(compile(code, "README.md", "exec"), {"__name__": "__main__"})
+    exec(compile(code, "manual", "exec"), {"__name__": "__main__"})
     assert capsys.readouterr().out.splitlines() == expected
 
 
-def test_readme_has_python_examples_on_arrays_and_on_files():
-    both = "".join(code_blocks("python"))
-    for name in ("composite", "stack", "read_layer", "write_image", "InputError", "hue_histogram"):
-        assert f"hpcomp.{name}" in both
+def printed(code):
+    """What an example says that it prints: the comments behind its print calls."""
+    return re.findall(r"^\s*print\(.*\)  # (.*)$", code, re.MULTILINE)
 
 
 @pytest.mark.parametrize("shell", TREE["hpcomp completion"][0].params[0].type.choices)
-def test_the_completion_commands_of_readme_print_a_script(workplace, shell):
-    assert f"hpcomp completion {shell}" in README.partition("## Shell completion")[2]
+def test_the_completion_commands_of_the_reference_print_a_script(workplace, shell):
+    assert f"hpcomp completion {shell}" in reference_section("hpcomp completion")
     run = subprocess.run(["hpcomp", "completion", shell], capture_output=True, text=True)
     assert (run.returncode, run.stderr) == (0, "")
     assert "_HPCOMP_COMPLETE" in run.stdout
 
 
+# ---- the examples of README ----------------------------------------------------------------------
+
+#: What a reader types before the examples; other tests run it.
+SETUP = {"sh samples/quickstart.sh\nsh tests/run.sh\n", "pip install .\n"}
+
+README_BLOCKS = re.findall(r"^```(\w+)\n(.*?)^```$", README, re.MULTILINE | re.DOTALL)
+EXAMPLES = [(language, code) for language, code in README_BLOCKS if code not in SETUP]
+
+
+def test_every_block_of_readme_is_run():
+    assert README.count("```") == 2 * len(README_BLOCKS)
+    assert {code for _, code in README_BLOCKS} >= SETUP
+    assert {language for language, _ in EXAMPLES} == {"sh", "python"}
+    assert EXAMPLES[0][1].startswith(". .venv/bin/activate\ncd ")
+    for code in SETUP:
+        for line in code.splitlines():
+            assert (ROOT / line.split()[-1]).exists()
+
+
+@pytest.fixture(scope="module")
+def readme_runs(tmp_path_factory):
+    """(folder of the examples, what running each example of README in order gave).
+
+    As after the quick start: an environment without matplotlib and the layers of the sample, and
+    with a deep image that a reader would bring.
+    """
+    root = tmp_path_factory.mktemp("checkout")
+    (root / ".venv" / "bin").mkdir(parents=True)
+    activate = f"PATH='{Path(sys.executable).parent}':$PATH\nexport PATH\n"
+    (root / ".venv" / "bin" / "activate").write_text(activate)
+    shutil.copytree(ROOT / "samples" / "terrain" / "layers", root / "samples/terrain/layers")
+    folder = root / "samples" / "terrain" / "out"
+    folder.mkdir()
+    deepfile.write(folder / "smoke.exr", deepfile.noise(SIZE[1], SIZE[0], tidy=True, seed=1))
+    (root / "without").mkdir()
+    (root / "without" / "matplotlib.py").write_text("raise ImportError('not installed')\n")
+    environment = {**os.environ, "PYTHONPATH": str(root / "without")}
+    begin = EXAMPLES[0][1]
+    runs = []
+    for language, code in EXAMPLES:
+        if code == begin:
+            script = begin
+        elif language == "sh":
+            script = begin.replace("cp ../layers/* .\n", "") + code
+        else:
+            (folder / "example.py").write_text(code)
+            script = begin.replace("cp ../layers/* .\n", "") + "python example.py\n"
+        runs.append(
+            subprocess.run(
+                ["sh", "-euc", script], cwd=root, env=environment, capture_output=True, text=True
+            )
+        )
+    return folder, runs
+
+
+@pytest.mark.parametrize("number", range(len(EXAMPLES)))
+def test_an_example_of_readme_runs_as_it_is_typed(readme_runs, number):
+    (language, code), (folder, runs) = EXAMPLES[number], readme_runs
+    assert runs[number].returncode == 0, runs[number].stderr
+    if "hpcomp batch" in code:
+        assert re.search(r": 2 made\n$", runs[number].stderr)
+    else:
+        assert runs[number].stderr == ""
+    if language == "python":
+        assert runs[number].stdout.splitlines() == printed(code) != []
+        return
+    outputs = re.findall(r"(?:-o|>|--report|--depfile|--log) ([\w.]+)", code)
+    for name in outputs:
+        assert (folder / name).stat().st_size > 20
+    shows = re.search(r"hpcomp (hues|explain|check|palette) ", code)
+    assert bool(runs[number].stdout) == bool(shows)
+
+
+def test_the_examples_of_readme_show_what_it_says(readme_runs):
+    folder, runs = readme_runs
+    shown = {code: run.stdout for (_, code), run in zip(EXAMPLES, runs, strict=True)}
+    (explained,) = (text for code, text in shown.items() if "hpcomp explain" in code)
+    assert "layer 2 (steep.exr) keeps its hue" in explained  # of two labels that meet there
+    assert re.search(r"chroma 0\.[1-9]\d* and 0\.[1-9]", explained)
+    (checked,) = (text for code, text in shown.items() if "hpcomp check" in code)
+    assert checked.count("passed") == 2
+    assert {path.name for path in folder.iterdir()} >= {"steep.png", "summits.png", "map.html"}
+
+
+def test_readme_has_an_example_of_every_task():
+    commands = set(re.findall(r"hpcomp (\w+) ", "".join(code for _, code in EXAMPLES)))
+    assert commands == set(COMMANDS) - {"completion", "info"}
+    assert "hpcomp info FILE" in README
+    text = "".join(code for language, code in EXAMPLES if language == "python")
+    for name in ("composite", "stack"):
+        assert f"hpcomp.{name}" in text
+
+
+def test_the_python_pages_use_the_functions_on_arrays_and_on_files():
+    cookbook = (ROOT / "samples" / "COOKBOOK.md").read_text(encoding="utf-8")
+    both = "".join([*code_blocks("python"), *code_blocks("python", README + cookbook)])
+    for name in ("composite", "stack", "read_layer", "write_image", "InputError", "hue_histogram",
+                 "stack_measures", "read_hues", "palette"):  # fmt: skip
+        assert f"hpcomp.{name}" in both
+
+
 # ---- links ---------------------------------------------------------------------------------------
 
 PAGES = ["README.md", "CHANGELOG.md", "samples/COOKBOOK.md", "samples/terrain/README.md",
-         "samples/paper/README.md"]  # fmt: skip
+         "samples/paper/README.md", *(str(path.relative_to(ROOT)) for path in WRITTEN.values())]  # fmt: skip
+
+#: Where README, which is also read outside of the repository, finds the other files.
+BASE = "https://github.com/hpcomp/hpcomp/blob/main/"
 
 
 @pytest.mark.parametrize("page", PAGES)
 def test_what_a_page_links_to_exists(page):
     text = (ROOT / page).read_text(encoding="utf-8")
-    links = re.findall(r"\]\(([^)\s]+)\)", text)
-    assert links
+    links = re.findall(r"\]\(([^)\s]+)\)|^\[.*\]: (\S+)$|<img src=\"(.*?)\"", text, re.MULTILINE)
     slugs = {
         re.sub(r"[^\w -]", "", heading).strip().lower().replace(" ", "-")
         for heading in re.findall(r"^#+ (.*)$", text, re.MULTILINE)
     }
-    for link in links:
+    assert links or page.startswith("man/")
+    for link in map("".join, links):
         if link.startswith("#"):
             assert link[1:] in slugs
+        elif link.startswith(BASE):
+            path = link.removeprefix(BASE)
+            assert path.endswith("?raw=true") == path.removesuffix("?raw=true").endswith(".png")
+            assert (ROOT / path.removesuffix("?raw=true")).exists(), link
         elif not link.startswith("https://"):
+            assert page != "README.md"
             assert ((ROOT / page).parent / link).exists(), link
 
 
-@pytest.mark.parametrize("script", ["samples/quickstart.sh", "tests/run.sh", "man/generate.py"])
+def test_every_reference_of_readme_is_defined_and_used():
+    text, defined = README, dict(re.findall(r"^\[(.*)\]: (\S+)$", README, re.MULTILINE))
+    for name, url in defined.items():
+        text = text.replace(f"[{name}]: {url}\n", "")
+        assert f"[{name}]" in text
+    code_free = re.sub(r"```.*?```|`[^`\n]*`", "", text, flags=re.DOTALL)
+    used = re.findall(r"\[[^\]]*\]\[([^\]]+)\]|\[(\w+)\](?![\[(:])", code_free)
+    assert {"".join(names) for names in used} <= set(defined)
+    assert len(used) >= 12
+
+
+@pytest.mark.parametrize("page", ["CONTRIBUTING.md", "SECURITY.md"])
+def test_the_scripts_that_contributors_are_told_of_exist(page):
+    text = (ROOT / ".github" / page).read_text(encoding="utf-8")
+    for script in re.findall(r"\b(?:samples|tests|man)/[\w/]+\.\w+", text):
+        assert (ROOT / script).is_file(), script
+    assert page != "CONTRIBUTING.md" or "man/generate.py" in text
+
+
+@pytest.mark.parametrize("script", ["samples/quickstart.sh", "tests/run.sh"])
 def test_the_scripts_that_readme_names_exist(script):
     assert script in README
     assert (ROOT / script).is_file()
@@ -535,9 +770,12 @@ def test_the_scripts_that_readme_names_exist(script):
 
 def test_readme_shows_the_picture_and_both_commands_before_the_rest():
     start = README.partition("## Install")[0]
-    assert "](samples/terrain/terrain.png)" in start
-    assert "sh samples/quickstart.sh\n" in start
-    assert "sh tests/run.sh\n" in start
+    assert "samples/terrain/terrain.png" in start
+    assert "sh samples/quickstart.sh\nsh tests/run.sh\n" in start
+
+
+def test_readme_is_short():
+    assert len(README.encode()) <= 10 * 1024
 
 
 def test_the_version_is_one():
