@@ -515,7 +515,7 @@ def _hues_environment() -> list[str]:
         *definition(bold("NO_COLOR"), "Set to anything: text on the terminal has no colours."),
         *definition(
             f"{bold('FORCE_COLOR')}, {bold('CLICOLOR_FORCE')}",
-            "Set to anything but 0: text has colours in a pipe, too. NO_COLOR goes before.",
+            "Set to anything but 0: text has colours in a pipe, too. NO_COLOR overrules it.",
         ),
         *definition(bold("COLUMNS"), "How wide text is, where it is not the terminal's width."),
     ]

@@ -17,18 +17,18 @@ from .signals import load
 
 HELP = """Make many stacks, several at a time.
 
-JOBS is a file in TOML, JSON, JSON Lines or CSV, or `-` for stdin with --format. A job is a table
-of layers, bottom first, the output, and the options of stack under their names, with _ for -.
-A layer is a LAYER text or a table of its path and keys. Paths are relative to the working
-directory. The option --save-job of stack writes such files.
+JOBS is a file in TOML, JSON, JSON Lines or CSV, or `-` for stdin with --format. A job has layers,
+bottom first, an output, and options of stack under their names, with _ for -. A layer is a LAYER
+text or a table of its path and keys. Paths are relative to the working directory. The option
+--save-job of stack writes such files.
 
-In TOML and JSON jobs are the list `jobs`; `defaults` has options for all of them, and `version` is
-1. In JSON Lines each line is a job, and a first one without layers may have version and defaults.
-In CSV each row is a job, with the columns output, layer (as many as needed) and options.
+In TOML and JSON, the list `jobs` holds the jobs, `defaults` holds options for all of them, and
+`version` is 1. In JSON Lines, each line is a job; a first line without layers may hold version and
+defaults. In CSV, each row is a job, with the columns output, layer (as many as needed) and options.
 
-A job that needs what another one makes waits for it. A failure does not stop the others. The exit
-code is that of the worst failure: 1 is worse than 5, then 3, 4 and 2. What was done is kept in a
-hidden file beside JOBS, for --update and --resume, and only one batch at a time has it.
+A job that needs the output of another one waits for it. A failure does not stop the other jobs. The
+exit code is that of the worst failure: 1 is worse than 5, then 3, 4 and 2. A hidden file beside
+JOBS remembers what was done, for --update and --resume. Only one batch at a time may use it.
 
 \b
   hpcomp batch jobs.toml

@@ -102,15 +102,14 @@ def command(
 ) -> None:
     """Fail if a picture has lost the hues of its layers.
 
-    IMAGE is the picture, LAYER, with keys such as opacity and tint, and the options are those that
-    `hpcomp stack` made it with; instead of layers, --hues lists what is allowed. At least one of
-    --max-foreign, --max-grey and --require-hue is needed. The exit code is 6 if a rule does not
-    hold, with a line on stderr for each that does not. A depfile is about the --depfile-target,
-    such as a stamp.
+    IMAGE is the picture. Layers and options are those that `hpcomp stack` made it with. Instead of
+    layers, --hues lists the hues that are allowed. At least one of --max-foreign, --max-grey and
+    --require-hue is needed. If a rule does not hold, the exit code is 6, and stderr has a line for
+    each such rule. A depfile names the --depfile-target, such as a stamp, as what is made.
 
-    A hue is foreign if it is farther than the tolerance from that of every layer that contributes
-    to that very pixel. What the file's own samples leave uncertain is allowed for: half a code
-    value of each channel, half a unit in the last place of a half-float. Lossy compression is not.
+    A hue is foreign if it is farther than the tolerance from the hue of every layer that
+    contributes to that pixel. The rounding of the file is allowed for: half a code value of each
+    channel, or half a unit in the last place of a half-float. Lossy compression is not.
 
     \b
       hpcomp check map.png base.png 'roads.png::opacity=0.6' rivers.exr --max-foreign 0.1%

@@ -45,13 +45,14 @@ SHORT_HELP = "Say step by step how one pixel of a stack comes about."
 def command(layers: tuple[str, ...], at: str, format: str, **options: Any) -> None:
     """Say step by step how one pixel of a stack comes about.
 
-    LAYER, with keys such as opacity and tint, and the options are those of `hpcomp stack`, and the
-    result is what it would write. For each layer: the stored sample, its linear colour, what
-    opacity and operators leave of it, its hue and chroma. Then who met whom in the blend order, how
-    far apart their hues are and which one dominated; the result, the traditional one beside it, and
-    what became of the labels. Chroma is |p|, the distance from the grey axis. Grey is the share of
-    chroma that is cancelled, margin how far the runner-up of another hue was from the layer whose
-    hue survived.
+    Layers and options are those of `hpcomp stack`, and the result is what it would write. For each
+    layer, explain prints the stored sample, its linear colour, its weight after opacity and
+    operators, its hue and its chroma. Then it prints which colours met in the blend order, how far
+    apart their hues are, and which one dominated. At the end stand the result, the traditional
+    result, and what became of the labels.
+
+    Chroma is |p|, the distance from the grey axis. Grey is the share of chroma that is cancelled.
+    Margin is how far the layer whose hue survived was ahead of the strongest layer of another hue.
 
     \b
       hpcomp explain base.png 'roads.png::opacity=0.6' --at 30,20

@@ -14,14 +14,14 @@ from .stackoptions import stack_options
 
 FLATTEN_HELP = """Composite the samples of deep EXR files into one flat picture.
 
-A deep EXR has many samples along each viewing ray. They are sorted by depth, and split where they
-overlap, as OpenEXR's document on deep pixels says; then those of a pixel are a stack with `over`,
-the farthest being the bottom. The samples of several files are taken together: which is in front
-is for their depths alone to say. What lies in one place is added first, all at once, so that the
-order of files and samples does not matter.
+A deep EXR has many samples along each viewing ray. hpcomp sorts them by depth, and splits them
+where they overlap, as OpenEXR's document on deep pixels says. The samples of a pixel are then a
+stack with `over`, with the farthest at the bottom. The samples of several files become one stack:
+their depths say which is in front. Samples in one place are added first, all at once, so the order
+of files and samples has no effect.
 
-IMAGE is a deep EXR file, scanlines or tiles, with channels Z and A, and ZBack where it has volumes,
-in the LAYER syntax of stack; `-` reads stdin. Keys:
+IMAGE is a deep EXR file, with scanlines or tiles, in the LAYER syntax of stack; `-` reads stdin. It
+has the channels Z and A, and ZBack if it has volumes. Keys:
 
 \b
   part=NAME        a part of a multi-part EXR, by name or index

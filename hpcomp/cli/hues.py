@@ -26,17 +26,18 @@ HUES_HELP = f"""Count the hues of images: how much of each, and which stand out.
 
 IMAGE is a PNG or EXR file in the LAYER syntax of stack, with the keys alpha, colorspace, tint,
 part, layer and name; `-` reads stdin. The hue is that of HSL, taken of the linear colour: 0 is
-red, 120 green, 240 blue; with --space oklab or cielab it is the angle in that space. Grey and
+red, 120 green, 240 blue. With --space oklab or cielab it is the angle in that space. Grey and
 transparent pixels are counted apart. Bins are centred on multiples of their width.
 
-A peak is a bin with more pixels than any other within 2°, and takes those bins in. It is listed if
-it holds 1% of the pixels with a hue, and if its bin has three times what is usual on either side,
-up to 6° away, so that a smear has none. The report also says what share of the pixels is within 2°
-of the peaks, how many bins have a pixel, and the entropy of the histogram, which is 0 bits for a
-single hue.
+A peak is a bin with more pixels than any other bin within 2°, together with those bins. It is
+listed if it holds 1% of the pixels with a hue, and if its bin has three times what is usual on
+either side, up to 6° away. So a smear has no peak. The report also says which share of the pixels
+is within 2° of the peaks, how many bins have a pixel, and the entropy of the histogram, which is 0
+bits for a single hue.
 
-Images that cannot be measured are named on stderr. A report on stdout has the others; a file is
-only written if it has all. Figures need matplotlib, which the extra `plot` brings. The formats:
+Images that cannot be measured are named on stderr. A report on stdout has the other images. A file
+is only written if it has all images. Figures need matplotlib, which the extra `plot` brings. The
+formats:
 
 \b
 {_FORMATS}

@@ -24,8 +24,8 @@ from .signals import load
 def command(ctx: click.Context, files: tuple[str, ...], as_json: bool) -> None:
     """Say what image files hold and how they will be read.
 
-    Parts, channels, windows, depth, alpha, light and primaries, and where each was read from.
-    FILE may be `-` for stdin. Files that cannot be read are named on stderr, with exit code 3.
+    info prints parts, channels, windows, depth, alpha, light and primaries, and where each was read
+    from. FILE `-` is stdin. Files that cannot be read are named on stderr, with exit code 3.
     """
     pipeline, fileinfo = load("hpcomp.pipeline.stack"), load("hpcomp.report.fileinfo")
 

@@ -37,25 +37,25 @@ _FORMATS = "\n".join(f"  {row.name:<6} {row.title}" for row in PALETTE_FORMATS.v
 
 PALETTE_HELP = f"""Say what the colours of labels blend to, and what may go wrong.
 
-COLOR is a CSS hex colour, or NAME=COLOR; two labels at least, 24 at most. Quote them: in a shell an
-unquoted # begins a comment. Without the # it works as well. --from takes labels from layer files.
+COLOR is a CSS hex colour, or NAME=COLOR, 2 to 24 of them. Quote a #: in a shell an unquoted #
+begins a comment. The # can be left out. --from takes labels from layer files.
 
-Every label is put over every other one at opacities from 0 to 1, in traditional blending and with
-⊕. For each two: the angle between their hues; at how many of the opacities the blend has a foreign
-hue, which is neither label's; and where it has least chroma, with how much of what the two bring is
-left there. The pair that goes grey at the least opacity comes first.
+palette puts every label over every other one at opacities from 0 to 1, in traditional blending and
+with ⊕. For each pair it prints the angle between the hues, the share of the opacities at which the
+blend has a foreign hue, which is neither label's, the opacity at which the blend has least chroma,
+and how much chroma is left there. The pair that goes grey at the least opacity comes first.
 
-The figure has a bar for each pair, with its hue alone below it, as the paper's Figure 4; and as its
-Figure 6 discs of all that any stack of the labels can give at any opacities, seen from above:
-angle is hue, radius chroma. Figures need matplotlib, which the extra `plot` brings. The formats:
+The figure has a bar for each pair, with its hue alone below it, as in the paper's Figure 4. Its
+discs show, as in Figure 6, all that any stack of the labels can give at any opacities: angle is
+hue, radius is chroma. Figures need matplotlib, which the extra `plot` brings. The formats:
 
 \b
 {_FORMATS}
 
-What may go wrong, each a finding that says what is measured and what the limit is:
+Each finding says what may go wrong, what was measured and what the limit is:
 
 \b
-  no-hue      the label is grey: only its luminance tells it
+  no-hue      the label is grey: only its luminance sets it apart
   close-hues  two hues are hard to tell apart once pale, or even count as equal
   vanishes    the label can hardly be seen on the background
   hue-lost    on the background the label does not keep its hue

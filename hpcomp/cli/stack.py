@@ -21,8 +21,9 @@ _PATTERN_SIGN = re.compile("%|##")
 
 LAYER_HELP = f"""Composite layers, bottom first, into one picture.
 
-LAYER is PATH[::key=value[,key=value]...]; `-` reads stdin. The last `::` splits, unless the whole
-argument is an existing file; a value holds no comma. Keys: {", ".join(LAYER_KEYS)}.
+LAYER is PATH[::key=value[,key=value]...]. PATH `-` reads stdin. The last `::` separates path and
+keys, unless the whole argument is an existing file. A value cannot contain a comma. Keys:
+{", ".join(LAYER_KEYS)}.
 
 \b
   op=OPERATOR      {", ".join(OPERATORS)}

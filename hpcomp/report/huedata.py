@@ -22,11 +22,11 @@ JSON_KEYS: dict[str, str] = {
     "schema": '"hpcomp.hues".',
     "version": "Of the schema, 1: it grows when a key changes its meaning or goes.",
     "space": "The blending space whose hue and chroma were measured.",
-    "bins": "How many.",
+    "bins": "How many bins each histogram has.",
     "achromatic": "The saturation below which pixels were grey.",
     "peak_radius": "2, the degrees around a peak that belong to it.",
     "images": "A list with the keys that follow for each image.",
-    "name": "The name that the image was given, or its path, or `stdin`.",
+    "name": "The name of the image: the one it was given, or its path, or `stdin`.",
     "pixels": "Counts: `all`, and of these `chromatic`, `grey`, `transparent` and `nonfinite`.",
     "peaks": "A list, the largest first: `hue` in degrees, of the mean colour; `count`; `share` "
     "and `chroma_share`, of all pixels with a hue and of their chroma; the mean colour, straight, "

@@ -20,11 +20,11 @@ SCHEMA_VERSION = 1
 JSON_KEYS: dict[str, str] = {
     "schema": '"hpcomp.stack-report".',
     "version": "Of the schema, 1: it grows when a key changes its meaning or goes.",
-    "output": "What the picture is called.",
+    "output": "The path or name of the picture.",
     "command": "The command that made it; empty where it was made from Python.",
-    "hpcomp": "Its version.",
+    "hpcomp": "The version of hpcomp.",
     "engine": "The engine that composited, `kernel` or `reference`.",
-    "settings": "What was chosen, each a text.",
+    "settings": "The options of the stack, each as a text.",
     "measures": "Shares are from 0 to 1. Of all pixels: `pixels`; `unmeasured_pixels`, with NaN or "
     "Inf; `order_sensitive_pixels` and `order_sensitivity`, the share of the chromatic ones in "
     "which another layer's hue survives top-down than bottom-up. What counts: `half_step`, the |p| "
@@ -40,8 +40,8 @@ JSON_KEYS: dict[str, str] = {
     "peak_radius": "2, the degrees around a peak that belong to it.",
     "layers": "A list, bottom first: `number`, `label`, and the keys `pixels`, `peaks`, "
     "`concentration` and `histogram` as in a document of hpcomp hues.",
-    "result": "The same of the result, before its exposure and before it is rounded.",
-    "traditional": "The same of the result by plain addition.",
+    "result": "The same keys for the result, before its exposure and before it is rounded.",
+    "traditional": "The same keys for the result of ordinary addition.",
 }
 
 
