@@ -21,7 +21,7 @@ class ExitCode(IntEnum):
     TERMINATED = 143
 
 
-#: What each exit code tells the caller; the README and the man pages print this table.
+#: What each exit code tells the caller; REFERENCE.md and the man pages print this table.
 EXIT_CODE_MEANINGS: dict[ExitCode, str] = {
     ExitCode.DONE: "done",
     ExitCode.BUG: "a bug in hpcomp",
