@@ -45,6 +45,7 @@ if TYPE_CHECKING:
     from .color.spaces import SPACES as SPACES
     from .engine.arrays import composite as composite
     from .engine.arrays import hue_add as hue_add
+    from .engine.arrays import stack_measures as stack_measures
     from .errors import ExitCode as ExitCode
     from .errors import HpcompError as HpcompError
     from .errors import HpcompWarning as HpcompWarning
@@ -67,13 +68,13 @@ if TYPE_CHECKING:
     from .measures.histogram import HueHistogram as HueHistogram
     from .measures.histogram import hue_histogram as hue_histogram
     from .measures.labels import StackMeasures as StackMeasures
-    from .measures.labels import stack_measures as stack_measures
+    from .options import StackOptions as StackOptions
     from .pipeline.flatten import flatten as flatten
-    from .pipeline.stack import StackResult as StackResult
-    from .pipeline.stack import info as info
-    from .pipeline.stack import read_layer as read_layer
+    from .pipeline.images import info as info
+    from .pipeline.images import read_layer as read_layer
+    from .pipeline.images import write_image as write_image
+    from .pipeline.picture import StackResult as StackResult
     from .pipeline.stack import stack as stack
-    from .pipeline.stack import write_image as write_image
     from .report.hueformats import write_hue_report as write_hue_report
     from .report.paletteformats import write_palette_report as write_palette_report
 
@@ -109,15 +110,16 @@ _HOME = {
     "read_jobs": ".jobs.jobfile",
     "save_jobs": ".jobs.jobfile",
     "StackMeasures": ".measures.labels",
-    "stack_measures": ".measures.labels",
+    "stack_measures": ".engine.arrays",
     "ORDERS": ".blending.orders",
     "Palette": ".analysis.palette",
     "palette": ".analysis.palette",
-    "StackResult": ".pipeline.stack",
-    "info": ".pipeline.stack",
-    "read_layer": ".pipeline.stack",
+    "StackOptions": ".options",
+    "StackResult": ".pipeline.picture",
+    "info": ".pipeline.images",
+    "read_layer": ".pipeline.images",
     "stack": ".pipeline.stack",
-    "write_image": ".pipeline.stack",
+    "write_image": ".pipeline.images",
     "OPERATORS": ".blending.porter_duff",
     "write_hue_report": ".report.hueformats",
     "write_palette_report": ".report.paletteformats",

@@ -96,9 +96,15 @@ def unknown_name(kind: str, name: str, valid: Iterable[object]) -> SettingError:
 
 def unknown_key(kind: str, key: str, valid: Iterable[str]) -> SettingError:
     """The error of a key that is not known: names the nearest one and lists what there is."""
+    names = list(valid)
+    near = nearest(key, names)
+    hint = f"{near[2:]} Choose" if near else "choose"
+    return SettingError(f"unknown {kind} '{key}': {hint} one of {', '.join(names)}")
+
+
+def nearest(name: str, valid: Iterable[str]) -> str:
+    """The end of a message that asks for the nearest of the valid names; empty if none is near."""
     import difflib  # where something went wrong
 
-    names = list(valid)
-    near = difflib.get_close_matches(key, names, 1)
-    hint = f"did you mean '{near[0]}'? Choose" if near else "choose"
-    return SettingError(f"unknown {kind} '{key}': {hint} one of {', '.join(names)}")
+    near = difflib.get_close_matches(name, list(valid), 1)
+    return f": did you mean '{near[0]}'?" if near else ""

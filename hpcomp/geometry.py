@@ -78,6 +78,22 @@ def parse_window(text: str) -> Window:
     return Window(x, y, width, height)
 
 
+#: The canvases that have a name; any other is a window.
+CANVASES = ("bottom", "union", "intersection")
+
+
+def parse_canvas(canvas: str | Window) -> str | Window:
+    """A canvas's name as it is, or its window from `WxH+X+Y`; `SettingError` otherwise."""
+    if isinstance(canvas, Window) or canvas in CANVASES:
+        return canvas
+    try:
+        return parse_window(canvas)
+    except SettingError:
+        raise SettingError(
+            f"unknown canvas '{canvas}': choose one of {', '.join(CANVASES)}, or WxH+X+Y"
+        ) from None
+
+
 #: Where in a reference window a layer sits: its share of the free space to the left and above.
 GRAVITIES: dict[str, tuple[float, float]] = {
     "north-west": (0.0, 0.0),

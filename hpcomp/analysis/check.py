@@ -18,13 +18,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..blending.addition import DEFAULT_HUE_TOLERANCE
-from ..blending.rules import StackRules, stack_rules
+from ..blending.rules import StackRules
 from ..color.samples import Decoding, Rgba, Samples, Strip, cropped, decode, linear_rgba, spread
 from ..color.spaces import Space
-from ..errors import MismatchError, SettingError, unknown_name
+from ..errors import MismatchError, SettingError
 from ..geometry import Window
-from ..imagefile.reading import NONFINITE_POLICIES, LayerReader
+from ..imagefile.reading import LayerReader
 from ..imagefile.seekable import STDIN
 from ..layers.layerspec import LayerSpec, layer_spec
 from ..layers.notices import Notices, warn_of_problems, warn_of_zeroed
@@ -50,6 +49,7 @@ from ..measures.labels import (
     share,
     summed,
 )
+from ..options import DEFAULTS, OPTIONS, StackOptions, takes_options
 
 Array = NDArray[np.float32]
 Mask = NDArray[np.bool_]
@@ -215,41 +215,33 @@ def _layer_label(wanted: str, specs: Sequence[LayerSpec]) -> Label:
 
 
 #: The options that place and weigh layers, which a list of hues has none of.
-_OF_LAYERS: dict[str, Any] = {
-    "op": "over",
-    "exposure": 0.0,
-    "canvas": "bottom",
-    "background": None,
-}
+_OF_LAYERS = ("op", "exposure", "canvas", "background")
+#: The options of a stack that a check takes under their names, and its own of these names.
+_OWN = ("foreign_tolerance", "achromatic")
 
 
+@takes_options(*(name for name in OPTIONS if name not in _OWN))
 def check(
     image: Layer,
     layers: Sequence[Layer] = (),
+    asked: StackOptions | None = None,
     *,
     hues: str | Sequence[float] | None = None,
     max_foreign: str | float | None = None,
-    max_grey: str | float | None = None,
+    max_gray: str | float | None = None,
     require_hue: Sequence[str | float] = (),
     visible: str | float = DEFAULT_VISIBLE,
     foreign_tolerance: float | None = None,
     achromatic: float = DEFAULT_ACHROMATIC,
-    op: str = "over",
-    space: str = "linear-rgb",
-    primaries: str = "rec709",
-    hue_tolerance: float = DEFAULT_HUE_TOLERANCE,
-    exposure: float = 0.0,
-    canvas: str | Window = "bottom",
-    background: str | Sequence[float] | None = None,
-    nonfinite: str = "error",
-    strict: bool = False,
+    **options: Any,
 ) -> CheckResult:
     """Measures the hues of a picture against the layers that it was made from, or against hues.
 
     `image`: a file, or a LAYER string without `op` and `opacity`. `layers`: as in `stack`, whose
-    options mean the same; or instead `hues`, degrees on the axis of `space`, in most spaces that of
-    HSL of the linear colour. At least one rule:
-    `max_foreign`, `max_grey`: shares in [0, 1] or as `1%` that may not be exceeded;
+    options mean the same: those that change no hue, such as `order`, change nothing here. Instead
+    of layers, `hues`: degrees on the axis of `space`, in most spaces that of HSL of the linear
+    colour. At least one rule:
+    `max_foreign`, `max_gray`: shares in [0, 1] or as `1%` that may not be exceeded;
     `require_hue`: labels that must be seen, degrees or `layer:1` or `layer:NAME`, each in the share
     `visible` of where it could be.
     `foreign_tolerance`: degrees between p vectors, twice the hue tolerance if not given, and
@@ -258,46 +250,36 @@ def check(
     Errors: `SettingError`, also where no rule is given; `InputError`, `MismatchError`.
     Warnings: `HpcompWarning`; errors with `strict`.
     """
+    if "max_grey" in options:  # the older spelling
+        max_gray = options.pop("max_grey")
+    checked = StackOptions.of(options, base=asked)
     specs = layer_specs(layers)
     picture = _picture_spec(image)
     limits = {
         name: None if limit is None else parse_share(limit)
-        for name, limit in (("max-foreign", max_foreign), ("max-grey", max_grey))
+        for name, limit in (("max-foreign", max_foreign), ("max-grey", max_gray))
     }
     least = parse_share(visible)
     required = [_label(label, specs) for label in require_hue]
     if not required and all(limit is None for limit in limits.values()):
         raise SettingError(
-            "a check without a rule would pass anything: give --max-foreign, --max-grey or "
+            "a check without a rule would pass anything: give --max-foreign, --max-gray or "
             "--require-hue"
         )
     if bool(specs) == (hues is not None):
         raise SettingError("give either the LAYERs that the picture was made from, or --hues")
     if [spec.path for spec in (picture, *specs)].count(STDIN) > 1:
         raise SettingError("stdin can be only one of the files")
-    if nonfinite not in NONFINITE_POLICIES:
-        raise unknown_name("nonfinite policy", nonfinite, NONFINITE_POLICIES)
-    notices = Notices(strict)
+    notices = Notices(checked.rules.strict)
     if hues is None:
-        rules = rules_of(
-            specs,
-            op,
-            "hue-preserving",
-            "bottom-up",
-            space,
-            hue_tolerance,
-            background,
-            exposure,
-            primaries,
-        )
+        rules = rules_of(specs, checked.rules)
         labels = [Label(spec.label(n), n, None) for n, spec in enumerate(specs)]
         listed: list[Array] = []
     else:
-        given = {"op": op, "exposure": exposure, "canvas": canvas, "background": background}
-        for name, value in given.items():
-            if value != _OF_LAYERS[name]:
+        for name in _OF_LAYERS:
+            if checked[name] != DEFAULTS[name]:
                 raise SettingError(f"--{name} is about layers: a check against --hues has none")
-        rules = stack_rules(1, space=space, hue_tolerance=hue_tolerance, primaries=primaries)
+        rules = checked.rules.of_layers([None], [1.0])
         degrees = parse_hues(hues)
         labels = [Label(f"hue {hue:g}", None, hue) for hue in degrees]
         listed = [vector_of(hue, rules.space) for hue in degrees]
@@ -307,19 +289,10 @@ def check(
         # The layers first: where they do not fit together, the picture does not matter.
         stack = None
         if specs:
-            stack = opened.enter_context(
-                opened_stack(
-                    specs,
-                    rules,
-                    primaries=primaries,
-                    canvas=canvas,
-                    nonfinite=nonfinite,
-                    notices=notices,
-                )
-            )
+            stack = opened.enter_context(opened_stack(specs, rules, checked, notices))
             rules = stack.rules
         name = f"picture ({'stdin' if picture.path == STDIN else picture.path})"
-        reader = opened.enter_context(opened_layer(picture, name, nonfinite))
+        reader = opened.enter_context(opened_layer(picture, name, checked.rules.nonfinite))
         reader.work_in(rules.primaries)
         warn_of_problems(reader, notices)
         placed = _placed_picture(reader, picture, None if stack is None else stack.canvas)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..blending.addition import BLENDINGS, DEFAULT_HUE_TOLERANCE, chroma, rivalry, shoulder
+from ..blending.addition import BLENDINGS, chroma, rivalry, shoulder
 from ..blending.rules import StackRules
 from ..blending.terms import weighted
 from ..color.encoding import Losses
@@ -31,6 +31,7 @@ from ..measures.labels import (
     measure_settings,
     measured,
 )
+from ..options import OPTIONS, StackOptions, takes_options
 
 Array = NDArray[np.floating[Any]]
 
@@ -163,61 +164,42 @@ def parse_pixel(text: str) -> tuple[int, int]:
     return x, y
 
 
+@takes_options(*OPTIONS)
 def explain(
     layers: Sequence[Layer],
     at: str | tuple[int, int],
-    *,
-    op: str = "over",
-    blending: str = "hue-preserving",
-    order: str | Sequence[int] = "bottom-up",
-    space: str = "linear-rgb",
-    primaries: str = "rec709",
-    hue_tolerance: float = DEFAULT_HUE_TOLERANCE,
-    gray_bias: float = 0.0,
-    foreign_tolerance: float | None = None,
-    exposure: float = 0.0,
-    canvas: str | Window = "bottom",
-    overscan: bool = False,
-    background: str | Sequence[float] | None = None,
-    nonfinite: str = "error",
-    strict: bool = False,
+    asked: StackOptions | None = None,
+    **options: Any,
 ) -> PixelExplanation:
     """Says how one pixel of `stack` comes about, reading no more rows than that needs.
 
-    `layers`: as in `stack`, whose options mean the same. `at`: the pixel, `X,Y` or two ints, in
-    coordinates of the canvas. `foreign_tolerance`: degrees between p vectors within which a hue is
-    a layer's, twice the hue tolerance if not given and the space's `gamut_turn` more.
+    `layers`: as in `stack`, whose options mean the same: those that change no pixel, such as
+    `compression`, change nothing here. `at`: the pixel, `X,Y` or two ints, in coordinates of the
+    canvas. `foreign_tolerance`: degrees between p vectors within which a hue is a layer's, twice
+    the hue tolerance if not given and the space's `gamut_turn` more.
     Returns: the `PixelExplanation`, its colours linear and premultiplied.
     Errors: `SettingError`, `InputError`, `MismatchError` for a pixel outside the canvas.
     Warnings: `HpcompWarning`; errors with `strict`.
     """
     specs = layer_specs(layers)
-    rules = rules_of(
-        specs,
-        op,
-        blending,
-        order,
-        space,
-        hue_tolerance,
-        background,
-        exposure,
-        primaries,
-        gray_bias=gray_bias,
-    )
+    checked = StackOptions.of(options, base=asked)
+    rules = rules_of(specs, checked.rules)
+    achromatic = checked.reports.achromatic
     settings = measure_settings(
         rules,
         half_step=HALF_STEP_FINE,
-        achromatic=DEFAULT_ACHROMATIC,
-        foreign_tolerance=foreign_tolerance,
+        achromatic=DEFAULT_ACHROMATIC if achromatic is None else achromatic,
+        foreign_tolerance=checked.reports.foreign_tolerance,
     )
     x, y = parse_pixel(at) if isinstance(at, str) else at
-    notices = Notices(strict)
-    with opened_stack(
-        specs, rules, primaries=primaries, canvas=canvas, nonfinite=nonfinite, notices=notices
-    ) as stack:
+    notices = Notices(checked.rules.strict)
+    with opened_stack(specs, rules, checked, notices) as stack:
         rules = stack.rules
         window = output_window(
-            stack.canvas, [layer.window for layer in stack.layers], overscan, None
+            stack.canvas,
+            [layer.window for layer in stack.layers],
+            checked.canvas.overscan,
+            checked.canvas.region,
         )
         if not window.contains(Window(x, y, 1, 1)):
             raise MismatchError(

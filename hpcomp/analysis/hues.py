@@ -14,13 +14,15 @@ from threading import Event
 
 from ..color.samples import Strip, linear_rgba
 from ..errors import SettingError, unknown_name
-from ..imagefile.reading import NONFINITE_POLICIES, STRIP_ROWS, LayerReader
+from ..imagefile.forms import NONFINITE_POLICIES
+from ..imagefile.reading import STRIP_ROWS, LayerReader
 from ..imagefile.seekable import STDIN
 from ..imagefile.source import codec_threads
 from ..layers.layerspec import LayerSpec, layer_spec
 from ..layers.notices import Notices, warn_of_problems, warn_of_zeroed
 from ..layers.opening import opened_layer
 from ..measures.histogram import DEFAULT_ACHROMATIC, DEFAULT_BINS, HueHistogram, hue_histogram
+from ..options import RuleOptions
 from ..system.threads import thread_count
 
 log = logging.getLogger("hpcomp")
@@ -77,10 +79,10 @@ def read_hues(
     path: Layer,
     *,
     bins: int = DEFAULT_BINS,
-    space: str = "linear-rgb",
+    space: str = RuleOptions.space,
     achromatic: float = DEFAULT_ACHROMATIC,
-    nonfinite: str = "error",
-    strict: bool = False,
+    nonfinite: str = RuleOptions.nonfinite,
+    strict: bool = RuleOptions.strict,
     threads: int | None = None,
 ) -> HueHistogram:
     """Counts the pixels of a file by hue, as `hpcomp hues` does; memory does not follow its height.

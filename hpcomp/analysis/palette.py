@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..blending.addition import chroma, shoulder
-from ..blending.rules import StackRules, stack_rules
+from ..blending.rules import StackRules
 from ..color.difference import contrast, difference
 from ..color.encoding import parse_hex_color
 from ..engine.arrays import composite
@@ -24,6 +24,7 @@ from ..errors import MismatchError, SettingError
 from ..layers.layerspec import LayerSpec
 from ..measures.histogram import DEFAULT_ACHROMATIC
 from ..measures.labels import measure_settings
+from ..options import RuleOptions, stack_rules
 from ..system.outputs import STDOUT
 from .hues import Layer, images_to_measure, read_hues
 
@@ -260,9 +261,9 @@ def palette(
     opacity: float = DEFAULT_OPACITY,
     close_hues: float = DEFAULT_CLOSE_HUES,
     least_difference: float = DEFAULT_LEAST_DIFFERENCE,
-    grey_opacity: float = DEFAULT_GREY_OPACITY,
+    gray_opacity: float = DEFAULT_GREY_OPACITY,
     achromatic: float = DEFAULT_ACHROMATIC,
-    strict: bool = False,
+    strict: bool = RuleOptions.strict,
     **rules: Any,
 ) -> Palette:
     """Blends every pair of labels in every order, as ⊕ and as traditional + do, and judges them.
@@ -274,19 +275,20 @@ def palette(
     and what else is no matter of single layers, as in `composite`.
     Findings: `close_hues`, hues are less than so many degrees apart, 0 to 180 between p vectors;
     `least_difference`, a label at `opacity`, 0 to 1, is nearer to the background than that, 0 to 1
-    in Oklab; `grey_opacity`, one label turns another grey at less opacity than that, 0 to 1;
+    in Oklab; `gray_opacity`, one label turns another grey at less opacity than that, 0 to 1;
     `achromatic`, colours of less saturation have no hue, 0 to 1. `strict`: warnings of files become
     errors.
     Returns: a `Palette`.
     Errors: `SettingError`; of layers, `InputError`, and `MismatchError` where no hue stands out.
     Source: Chuang et al. 2009, Figures 4 and 6.
     """
+    gray_opacity = rules.pop("grey_opacity", gray_opacity)  # the older spelling
     for name in ("op", "exposure", "primaries"):
         if name in rules:
             raise SettingError(f"'{name}' says nothing of a palette: leave it out")
     named = [_named(color) for color in colors]
     for spec in images_to_measure(layers, STDOUT):
-        named += _labels_of(spec, achromatic, strict, str(rules.get("space", "linear-rgb")))
+        named += _labels_of(spec, achromatic, strict, str(rules.get("space", RuleOptions.space)))
     if not FEWEST_LABELS <= len(named) <= MOST_LABELS:
         raise SettingError(
             f"{len(named)} labels: a palette has {FEWEST_LABELS} to {MOST_LABELS} of them"
@@ -298,7 +300,7 @@ def palette(
         ("close hues", close_hues, 180),
         ("opacity", opacity, 1),
         ("least difference", least_difference, 1),
-        ("grey opacity", grey_opacity, 1),
+        ("gray opacity", gray_opacity, 1),
     ):
         if not 0 <= value <= most:
             raise SettingError(f"{what} {value:g} is outside 0 to {most}")
@@ -308,7 +310,7 @@ def palette(
         opacity=float(opacity),
         close_hues=float(close_hues),
         least_difference=float(least_difference),
-        grey_opacity=float(grey_opacity),
+        grey_opacity=float(gray_opacity),
         achromatic=measuring.achromatic,
         foreign_tolerance=measuring.foreign_tolerance,
     )

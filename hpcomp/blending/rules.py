@@ -18,7 +18,6 @@ from ..color import spaces
 from ..color.encoding import REC709, Primaries, converted, to_xyz, working_primaries
 from ..errors import MismatchError, SettingError
 from . import addition, orders, porter_duff
-from .addition import DEFAULT_HUE_TOLERANCE
 
 Array = NDArray[np.floating[Any]]
 
@@ -120,29 +119,30 @@ class StackRules:
         return numbers[::-1] if self.reduction is Reduction.FRONT_TO_BACK else numbers
 
 
-def stack_rules(
-    n_layers: int,
+def check_exposure(stops: float) -> float:
+    """The exposure as a float; `SettingError` beyond `MAX_STOPS`."""
+    if not abs(stops) <= MAX_STOPS:
+        raise SettingError(f"exposure {stops:g} is outside -{MAX_STOPS} to {MAX_STOPS} stops")
+    return float(stops)
+
+
+def checked_rules(
+    ops: Sequence[str | None],
+    opacities: Sequence[float],
     *,
-    op: str | Sequence[str | None] = "over",
-    opacity: float | Sequence[float] = 1.0,
-    blending: str = "hue-preserving",
-    order: str | Sequence[int] = "bottom-up",
-    space: str = "linear-rgb",
-    hue_tolerance: float = DEFAULT_HUE_TOLERANCE,
-    gray_bias: float = 0.0,
-    background: Sequence[float] | None = None,
-    exposure: float = 0.0,
-    primaries: str = "rec709",
+    blending: str,
+    order: str | Sequence[int],
+    space: str,
+    hue_tolerance: float,
+    gray_bias: float,
+    background: Sequence[float] | None,
+    exposure: float,
+    primaries: str,
 ) -> StackRules:
-    """The rules of a stack of `n_layers`, looked up and checked; the arguments of `composite`."""
-    working = working_primaries(primaries)
-    if n_layers < 1:
-        raise SettingError("a stack needs at least one layer")
-    ops = [None, *[op] * (n_layers - 1)] if isinstance(op, str) else list(op)
-    opacities = np.full(n_layers, opacity) if np.ndim(opacity) == 0 else np.asarray(opacity)
-    for what, given in (("operators", len(ops)), ("opacities", len(opacities))):
-        if given != n_layers:
-            raise SettingError(f"{given} {what} for {n_layers} layers: give one for each")
+    """The rules of a stack of layers with these operators, None first, and opacities.
+
+    Names are looked up, and what is about single layers is checked; `options` checks the rest.
+    """
     if None in ops[1:]:
         raise SettingError(f"layer {ops.index(None, 1)} has no operator: name one such as 'over'")
     if ops[0] is not None:
@@ -153,19 +153,16 @@ def stack_rules(
     for number, value in enumerate(opacities):
         if not 0 <= value <= 1:
             raise SettingError(f"layer {number}: opacity {value:g} is outside 0 to 1")
-    if background is not None and (len(background) != 3 or not np.isfinite(background).all()):
-        raise SettingError(f"background {background} is not three finite components, linear RGB")
-    if not abs(exposure) <= MAX_STOPS:
-        raise SettingError(f"exposure {exposure:g} is outside -{MAX_STOPS} to {MAX_STOPS} stops")
+    working = working_primaries(primaries)
     return StackRules(
         operators=tuple(None if name is None else porter_duff.operator(name) for name in ops),
         opacities=tuple(float(value) for value in opacities),
         blending=addition.blending(blending),
-        order=orders.order(order, n_layers),
+        order=orders.order(order, len(ops)),
         space=spaces.space(space, to_xyz(working)),
-        hue_tolerance=addition.check_hue_tolerance(hue_tolerance),
-        gray_bias=addition.check_gray_bias(gray_bias),
+        hue_tolerance=hue_tolerance,
+        gray_bias=gray_bias,
         background=None if background is None else tuple(float(v) for v in background),
-        exposure=float(exposure),
+        exposure=exposure,
         primaries=working,
     )

@@ -11,9 +11,10 @@ import click
 
 from ..errors import ExitCode, HpcompError
 from .messages import say
-from .options import Command, at_a_time, is_quiet, make_options, message_options, print_data
+from .options import Command, at_a_time, is_quiet, message_options, print_data
 from .progress import Progress
 from .signals import load
+from .stackoptions import make_options, stack_options
 
 HELP = """Make many stacks, several at a time.
 
@@ -51,18 +52,12 @@ def _print_schema(ctx: click.Context, param: click.Parameter, value: bool) -> No
     help="Format of JOBS, whatever its ending.",
 )
 @at_a_time("Jobs at a time, each on a core: all cores if not given, but so that each job has 128M.")
-@click.option(
-    "--threads",
-    type=click.IntRange(min=1),
-    metavar="N",
-    help="Threads of all jobs together: as many as cores are used if not given.",
-)
-@click.option(
-    "--max-memory",
-    default="1G",
-    show_default=True,
-    metavar="SIZE",
-    help="Memory for pixels and codecs of all jobs together, such as 512M.",
+@stack_options(
+    *("threads", "max_memory"),
+    help={
+        "threads": "Threads of all jobs together: as many as cores are used if not given.",
+        "max_memory": "Memory for pixels and codecs of all jobs together, such as 512M.",
+    },
 )
 @click.option("--fail-fast", is_flag=True, help="Begin no more jobs after one that failed.")
 @click.option("--skip-existing", is_flag=True, help="Leave out jobs whose outputs all exist.")

@@ -12,9 +12,15 @@ from ..errors import ExitCode
 from ..system.depfile import Depfile
 from ..system.outputs import STDOUT
 from .messages import say
-from .options import LayerCommand, depfile_options, message_options, print_data
+from .options import LayerCommand, format_option, message_options, print_data
 from .signals import load
-from .stackoptions import stack_options
+from .stackoptions import depfile_options, other_options, stack_options
+
+#: The options of a stack that change what is measured.
+CHECKED = (
+    *("op", "space", "primaries", "hue_tolerance", "exposure", "region", "canvas", "background"),
+    *("nonfinite", "strict"),
+)
 
 SHORT_HELP = "Fail if a picture has lost the hues of its layers."
 
@@ -34,7 +40,9 @@ SHORT_HELP = "Fail if a picture has lost the hues of its layers."
     help="Fail if more of the chromatic pixels have a hue that no layer gave them: 0.01 or 1%.",
 )
 @click.option(
+    "--max-gray",
     "--max-grey",
+    "max_gray",
     metavar="SHARE",
     help="Fail if more of the layers' chroma was cancelled; against hues, if more of the visible "
     "pixels are grey.",
@@ -69,24 +77,9 @@ SHORT_HELP = "Fail if a picture has lost the hues of its layers."
     metavar="SATURATION",
     help="Pixels of less saturation, 0 to 1, are grey.",
 )
-@stack_options(
-    "op",
-    "space",
-    "primaries",
-    "hue_tolerance",
-    "exposure",
-    "canvas",
-    "background",
-    "nonfinite",
-    "strict",
-)
-@click.option(
-    "--format",
-    type=click.Choice(["text", "json"]),
-    default="text",
-    show_default=True,
-    help="What to print.",
-)
+@stack_options(*CHECKED)
+@other_options(*CHECKED, "foreign_tolerance", "achromatic", "depfile", "depfile_target")
+@format_option
 @depfile_options
 @message_options
 @click.pass_context
@@ -103,9 +96,10 @@ def command(
     """Fail if a picture has lost the hues of its layers.
 
     IMAGE is the picture. Layers and options are those that `hpcomp stack` made it with. Instead of
-    layers, --hues lists the hues that are allowed. At least one of --max-foreign, --max-grey and
+    layers, --hues lists the hues that are allowed. At least one of --max-foreign, --max-gray and
     --require-hue is needed. If a rule does not hold, the exit code is 6, and stderr has a line for
     each such rule. A depfile names the --depfile-target, such as a stamp, as what is made.
+    The other options of stack are accepted too, but for -o and --format. They change nothing here.
 
     A hue is foreign if it is farther than the tolerance from the hue of every layer that
     contributes to that pixel. The rounding of the file is allowed for: half a code value of each

@@ -7,9 +7,21 @@ from typing import Any
 
 import click
 
-from .options import LayerCommand, message_options, print_data
+from .options import LayerCommand, format_option, message_options, print_data
 from .signals import load
-from .stackoptions import stack_options
+from .stackoptions import other_options, stack_options
+
+#: The options of a stack that change what is said.
+EXPLAINED = (
+    *("op", "blending", "order", "space", "primaries", "hue_tolerance", "gray_bias"),
+    *("foreign_tolerance", "exposure", "region", "canvas", "overscan", "background"),
+    *("nonfinite", "strict"),
+)
+HELP = {
+    "foreign_tolerance": "A hue this near to a layer's is that layer's: twice the hue tolerance if "
+    "not given, more in oklab and cielab.",
+    "region": "The part of the canvas that is made: the pixel lies in it.",
+}
 
 SHORT_HELP = "Say step by step how one pixel of a stack comes about."
 
@@ -25,22 +37,9 @@ SHORT_HELP = "Say step by step how one pixel of a stack comes about."
     help="The pixel, in coordinates of the canvas; 0,0 is its top left corner, unless the files "
     "say otherwise.",
 )
-@stack_options("op", "blending", "order", "space", "primaries", "hue_tolerance", "gray_bias")
-@click.option(
-    "--foreign-tolerance",
-    type=float,
-    metavar="DEGREES",
-    help="A hue this near to a layer's is that layer's: twice the hue tolerance if not given, "
-    "more in oklab and cielab.",
-)
-@stack_options("exposure", "canvas", "overscan", "background", "nonfinite", "strict")
-@click.option(
-    "--format",
-    type=click.Choice(["text", "json"]),
-    default="text",
-    show_default=True,
-    help="What to print.",
-)
+@stack_options(*EXPLAINED, help=HELP)
+@other_options(*EXPLAINED)
+@format_option
 @message_options
 def command(layers: tuple[str, ...], at: str, format: str, **options: Any) -> None:
     """Say step by step how one pixel of a stack comes about.
@@ -53,6 +52,8 @@ def command(layers: tuple[str, ...], at: str, format: str, **options: Any) -> No
 
     Chroma is |p|, the distance from the grey axis. Grey is the share of chroma that is cancelled.
     Margin is how far the layer whose hue survived was ahead of the strongest layer of another hue.
+
+    The other options of stack are accepted too, but for -o and --format. They change nothing here.
 
     \b
       hpcomp explain base.png 'roads.png::opacity=0.6' --at 30,20

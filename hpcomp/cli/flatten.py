@@ -7,10 +7,9 @@ from typing import Any
 import click
 
 from ..blending.orders import ORDERS
-from .options import LayerCommand, make_options, message_options
-from .pictureoptions import picture_options
+from .options import LayerCommand, message_options
 from .signals import load
-from .stackoptions import stack_options
+from .stackoptions import output_option, stack_options
 
 FLATTEN_HELP = """Composite the samples of deep EXR files into one flat picture.
 
@@ -45,32 +44,19 @@ has the channels Z and A, and ZBack if it has volumes. Keys:
 @click.argument(
     "images", metavar="IMAGE...", nargs=-1, required=True, type=click.Path(readable=False)
 )
-@picture_options("output", "format")
-@stack_options("blending")
-@click.option(
-    "--order",
-    default="bottom-up",
-    show_default=True,
-    metavar="ORDER",
-    help=f"In which order the samples' colours are added: {', '.join(ORDERS)}. The bottom is the "
-    "farthest.",
+@output_option
+@stack_options(
+    *("format", "blending", "order", "space", "primaries", "hue_tolerance", "gray_bias", "depth"),
+    *("compression", "out_primaries", "exposure", "region", "clobber", "canvas", "overscan"),
+    *("background", "nonfinite", "strict", "threads", "max_memory"),
+    *("depfile", "depfile_target", "write_if_changed"),
+    help={
+        "order": f"In which order the samples' colours are added: {', '.join(ORDERS)}. The bottom "
+        "is the farthest.",
+        "nonfinite": "NaN, and infinite colours or alphas: error (refuse them), zero (such a "
+        "sample is left out), keep (one whose depth is NaN is behind all others).",
+    },
 )
-@stack_options("space", "primaries", "hue_tolerance", "gray_bias")
-@picture_options("depth", "compression", "out_primaries")
-@stack_options("exposure")
-@picture_options("region", "clobber")
-@stack_options("canvas", "overscan", "background")
-@click.option(
-    "--nonfinite",
-    type=click.Choice(["error", "zero", "keep"]),
-    default="error",
-    show_default=True,
-    help="NaN, and infinite colours or alphas: error (refuse them), zero (such a sample is left "
-    "out), keep (one whose depth is NaN is behind all others).",
-)
-@stack_options("strict")
-@picture_options("threads", "max_memory")
-@make_options
 @message_options
 def command(images: tuple[str, ...], output: str, **options: Any) -> None:
     load("hpcomp.pipeline.flatten").flatten(images, output, **options)

@@ -7,7 +7,6 @@ from typing import Any
 
 import click
 
-from ..color.spaces import SPACES
 from ..errors import HpcompError, InputError, MismatchError
 from ..layers.layerspec import LayerSpec
 from ..measures.histogram import DEFAULT_ACHROMATIC, DEFAULT_BINS, FEWEST_BINS, MOST_BINS, WEIGHTS
@@ -16,9 +15,10 @@ from ..report.look import AXES, SCALES, Entry, Look
 from ..system.outputs import STDOUT
 from . import terminal
 from .messages import say
-from .options import LayerCommand, make_options, message_options, print_bytes
-from .reportoptions import WRITING, clobber_option, opened_report, report_options
+from .options import LayerCommand, message_options, print_bytes
+from .reportoptions import WRITING, opened_report, report_options
 from .signals import load
+from .stackoptions import make_options, stack_options
 
 _FORMATS = "\n".join(f"  {row.name:<6} {row.title}" for row in REPORT_FORMATS.values())
 
@@ -62,13 +62,7 @@ formats:
     metavar="N",
     help=f"Bins of the circle, {FEWEST_BINS} to {MOST_BINS}.",
 )
-@click.option(
-    "--space",
-    type=click.Choice(list(SPACES)),
-    default="linear-rgb",
-    show_default=True,
-    help="Blending space whose hue and chroma are measured.",
-)
+@stack_options("space", help={"space": "Blending space whose hue and chroma are measured."})
 @click.option(
     "--achromatic",
     type=float,
@@ -98,22 +92,15 @@ formats:
     show_default=True,
     help="Axes of a figure: straight, round, or both.",
 )
-@clobber_option
-@click.option(
-    "--nonfinite",
-    type=click.Choice(["error", "zero", "keep"]),
-    default="error",
-    show_default=True,
-    help="NaN and Inf in an image: error (refuse it), zero (the pixel becomes transparent), keep "
-    "(it is counted as such).",
+@stack_options("clobber")
+@stack_options(
+    "nonfinite",
+    help={
+        "nonfinite": "NaN and Inf in an image: error (refuse it), zero (the pixel becomes "
+        "transparent), keep (it is counted as such)."
+    },
 )
-@click.option("--strict", is_flag=True, help="Treat warnings as errors.")
-@click.option(
-    "--threads",
-    type=click.IntRange(min=1),
-    metavar="N",
-    help="Threads to use: all cores if not given.",
-)
+@stack_options("strict", "threads")
 @make_options
 @message_options
 @click.pass_context

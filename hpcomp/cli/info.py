@@ -8,7 +8,7 @@ import click
 
 from ..errors import InputError
 from .messages import say
-from .options import Command, message_options, print_data
+from .options import Command, format_option, message_options, print_data
 from .signals import load
 
 
@@ -18,16 +18,18 @@ from .signals import load
 @click.argument(
     "files", metavar="FILE...", nargs=-1, required=True, type=click.Path(readable=False)
 )
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON document for all files.")
+@format_option
+@click.option("--json", "format", flag_value="json", help="Short for --format json.")
 @message_options
 @click.pass_context
-def command(ctx: click.Context, files: tuple[str, ...], as_json: bool) -> None:
+def command(ctx: click.Context, files: tuple[str, ...], format: str) -> None:
     """Say what image files hold and how they will be read.
 
     info prints parts, channels, windows, depth, alpha, light and primaries, and where each was read
-    from. FILE `-` is stdin. Files that cannot be read are named on stderr, with exit code 3.
+    from. FILE `-` is stdin. JSON is one document for all files. Files that cannot be read are named
+    on stderr, with exit code 3.
     """
-    pipeline, fileinfo = load("hpcomp.pipeline.stack"), load("hpcomp.report.fileinfo")
+    pipeline, fileinfo = load("hpcomp.pipeline.images"), load("hpcomp.report.fileinfo")
 
     described, failures = [], []
     for path in files:
@@ -35,7 +37,7 @@ def command(ctx: click.Context, files: tuple[str, ...], as_json: bool) -> None:
             described.append(pipeline.info(path))
         except InputError as error:
             failures.append(error)
-    if as_json:
+    if format == "json":
         document = {
             "schema": "hpcomp.info",
             "version": fileinfo.SCHEMA_VERSION,

@@ -97,34 +97,13 @@ def print_bytes(data: bytes) -> None:
         stdout.write(data)
 
 
-def make_options(function: F) -> F:
-    """What makefiles ask of every command that writes files."""
-    function = click.option(
-        "--write-if-changed",
-        is_flag=True,
-        help="Leave outputs that have the new bytes already as they are, with their times.",
-    )(function)
-    return depfile_options(function)
-
-
-def depfile_options(function: F) -> F:
-    """What makefiles ask of every command that reads files."""
-    for option in (
-        click.option(
-            "--depfile-target",
-            multiple=True,
-            metavar="NAME",
-            help="Name this in the depfile as what is made; may be repeated.",
-        ),
-        click.option(
-            "--depfile",
-            metavar="PATH",
-            type=click.Path(readable=False),
-            help="Write a rule for make or ninja: what is made, and the files that were read.",
-        ),
-    ):
-        function = option(function)
-    return function
+format_option = click.option(
+    "--format",
+    type=click.Choice(["text", "json"]),
+    default="text",
+    show_default=True,
+    help="What to print.",
+)
 
 
 def at_a_time(help: str) -> Callable[[F], F]:

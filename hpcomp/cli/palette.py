@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from inspect import signature
 from typing import Any
 
 import click
@@ -14,24 +13,20 @@ from ..analysis.palette import (
     DEFAULT_LEAST_DIFFERENCE,
     DEFAULT_OPACITY,
 )
-from ..blending.rules import stack_rules
 from ..errors import ExitCode, SettingError
 from ..measures.histogram import DEFAULT_ACHROMATIC
+from ..options import ARRAY_RULES
 from ..report.hueformats import put
 from ..report.paletteformats import FIGURES, PALETTE_FORMATS, PaletteLook, load, palette_format
 from ..system.outputs import STDOUT
 from . import signals, terminal
 from .messages import say
-from .options import F, LayerCommand, make_options, message_options, print_bytes
-from .reportoptions import WRITING, clobber_option, opened_report, report_options
-from .stackoptions import STACK_OPTIONS, stack_options
+from .options import F, LayerCommand, message_options, print_bytes
+from .reportoptions import WRITING, opened_report, report_options
+from .stackoptions import make_options, stack_options
 
-#: What is about single layers or about the result, and not about how two colours are added; and
-#: primaries: labels are sRGB.
-_OF_LAYERS = ("op", "opacity", "background", "exposure", "primaries")
-_RULES = [
-    n for n in signature(stack_rules).parameters if n in STACK_OPTIONS and n not in _OF_LAYERS
-]
+#: The rules of how two colours are added: labels are sRGB, and lie on a background of their own.
+_RULES = [name for name in ARRAY_RULES if name not in ("background", "exposure", "primaries")]
 
 _FORMATS = "\n".join(f"  {row.name:<6} {row.title}" for row in PALETTE_FORMATS.values())
 
@@ -70,10 +65,10 @@ Findings change the exit code only with --strict.
 """
 
 
-def _limit(name: str, default: float, metavar: str, text: str) -> Callable[[F], F]:
+def _limit(*names: str, default: float, metavar: str, help: str) -> Callable[[F], F]:
     """An option that says how something is judged."""
     return click.option(
-        name, type=float, default=default, show_default=True, metavar=metavar, help=text
+        *names, type=float, default=default, show_default=True, metavar=metavar, help=help
     )
 
 
@@ -106,33 +101,40 @@ def _limit(name: str, default: float, metavar: str, text: str) -> Callable[[F], 
     metavar="COLOR",
     help="What labels are seen on.",
 )
-@_limit("--opacity", DEFAULT_OPACITY, "ALPHA", "How opaque a label is on the background, 0 to 1.")
+@_limit(
+    "--opacity",
+    default=DEFAULT_OPACITY,
+    metavar="ALPHA",
+    help="How opaque a label is on the background, 0 to 1.",
+)
 @_limit(
     "--least-difference",
-    DEFAULT_LEAST_DIFFERENCE,
-    "DISTANCE",
-    "A label vanishes if it differs less than this from the background: a distance in Oklab, "
+    default=DEFAULT_LEAST_DIFFERENCE,
+    metavar="DISTANCE",
+    help="A label vanishes if it differs less than this from the background: a distance in Oklab, "
     "where black to white is 1 and 0.02 is just noticeable side by side.",
 )
 @_limit(
     "--close-hues",
-    DEFAULT_CLOSE_HUES,
-    "DEGREES",
-    "Hues are close if their p vectors are less than this apart, 0 to 180.",
+    default=DEFAULT_CLOSE_HUES,
+    metavar="DEGREES",
+    help="Hues are close if their p vectors are less than this apart, 0 to 180.",
 )
 @_limit(
+    "--gray-opacity",
     "--grey-opacity",
-    DEFAULT_GREY_OPACITY,
-    "ALPHA",
-    "A pair goes grey too soon if the front label does it at less opacity than this, 0 to 1.",
+    "gray_opacity",
+    default=DEFAULT_GREY_OPACITY,
+    metavar="ALPHA",
+    help="A pair goes grey too soon if the front label does it at less opacity than this, 0 to 1.",
 )
 @_limit(
     "--achromatic",
-    DEFAULT_ACHROMATIC,
-    "SATURATION",
-    "Colours of less saturation, 0 to 1, have no hue.",
+    default=DEFAULT_ACHROMATIC,
+    metavar="SATURATION",
+    help="Colours of less saturation, 0 to 1, have no hue.",
 )
-@clobber_option
+@stack_options("clobber")
 @click.option(
     "--strict",
     is_flag=True,

@@ -34,13 +34,6 @@ def report_options(formats: Mapping[str, ReportFormat]) -> Callable[[F], F]:
     return decorate
 
 
-clobber_option = click.option(
-    "--clobber/--no-clobber",
-    default=True,
-    show_default=True,
-    help="Replace an existing output.",
-)
-
 #: The parameters of `opened_report` that are options of a command.
 WRITING = ("clobber", "depfile", "depfile_target", "write_if_changed")
 

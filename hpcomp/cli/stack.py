@@ -11,10 +11,9 @@ import click
 
 from ..blending.porter_duff import OPERATORS
 from ..layers.layerspec import LAYER_KEYS
-from .options import LayerCommand, at_a_time, make_options, message_options
-from .pictureoptions import picture_options
+from .options import LayerCommand, at_a_time, message_options
 from .signals import load
-from .stackoptions import stack_options
+from .stackoptions import output_option, stack_options
 
 #: What may be a pattern of frames.
 _PATTERN_SIGN = re.compile("%|##")
@@ -50,51 +49,14 @@ keys, unless the whole argument is an existing file. A value cannot contain a co
 @click.argument(
     "layers", metavar="LAYER...", nargs=-1, required=True, type=click.Path(readable=False)
 )
-@picture_options("output", "format")
-@stack_options("op", "blending", "order", "space", "primaries", "hue_tolerance", "gray_bias")
-@picture_options("depth", "compression", "out_primaries")
-@stack_options("exposure")
-@picture_options("region", "clobber")
-@stack_options("canvas", "overscan", "background", "nonfinite", "strict")
-@picture_options("threads", "max_memory")
-@click.option(
-    "--report",
-    multiple=True,
-    metavar="PATH",
-    type=click.Path(readable=False),
-    help="Write what blending did to the hues, beside traditional blending: a path ending in .txt, "
-    ".json, .csv, .svg, .png, .pdf or .html; can be given several times.",
+@output_option
+@stack_options(
+    *("format", "op", "blending", "order", "space", "primaries", "hue_tolerance", "gray_bias"),
+    *("depth", "compression", "out_primaries", "exposure", "region", "clobber", "canvas"),
+    *("overscan", "background", "nonfinite", "strict", "threads", "max_memory", "report"),
+    *("provenance", "foreign_tolerance", "achromatic", "bins", "energy_weights"),
+    *("depfile", "depfile_target", "write_if_changed"),
 )
-@click.option(
-    "--provenance",
-    metavar="PATH",
-    type=click.Path(readable=False),
-    help="Write an EXR of each pixel's surviving layer: layer (its number plus 1, 0 for none), "
-    "grey (the share of chroma that is cancelled), margin (over the strongest rival).",
-)
-@click.option(
-    "--foreign-tolerance",
-    type=float,
-    metavar="DEGREES",
-    help="Reports: a hue farther than this from every layer's is foreign; twice the hue tolerance "
-    "if not given, more in oklab and cielab.",
-)
-@click.option(
-    "--achromatic",
-    type=float,
-    metavar="0…1",
-    help="Reports: colours of less saturation are grey; 0.02 if not given.",
-)
-@click.option(
-    "--bins", type=int, metavar="N", help="Reports: bins of the histograms; 360 if not given."
-)
-@click.option(
-    "--energy-weights",
-    metavar="R,G,B",
-    help="Reports: shares of red, green and blue in the power of a display; 0.3,0.25,0.45, an "
-    "estimate, if not given.",
-)
-@make_options
 @click.option(
     "--frames",
     metavar="RANGE",

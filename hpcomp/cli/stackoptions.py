@@ -1,117 +1,81 @@
-"""Layers and the options of a stack, for every command that takes one.
+"""The options of a stack on the command line, made from the table of `hpcomp.options`.
 
 Beside `options`, which all commands import: here are tables of the mathematics.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from typing import Any
 
 import click
 
-from ..blending.addition import BLENDINGS, DEFAULT_HUE_TOLERANCE
-from ..blending.orders import ORDERS
-from ..blending.porter_duff import OPERATOR_NAMES
-from ..color.encoding import BOTTOM, WORKING_PRIMARIES
-from ..color.spaces import SPACES
+from ..options import OPTIONS, NamedOption
 from .options import F
 
-#: What decides how layers become pixels: each option by the name of its parameter.
-STACK_OPTIONS: dict[str, Callable[[F], F]] = {
-    "op": click.option(
-        "--op",
-        type=click.Choice(OPERATOR_NAMES),
-        default="over",
-        show_default=True,
-        metavar="OPERATOR",
-        help="Operator of the layers that name none.",
-    ),
-    "blending": click.option(
-        "--blending",
-        type=click.Choice(list(BLENDINGS)),
-        default="hue-preserving",
-        show_default=True,
-        help="How colours are added: the stronger one keeps its hue, hues mix as usual, or the one "
-        "in front keeps its hue.",
-    ),
-    "order": click.option(
-        "--order",
-        default="bottom-up",
-        show_default=True,
-        metavar="ORDER",
-        help=f"In which order the layers' colours are added: {', '.join(ORDERS)}, "
-        "or a permutation such as 2,0,1.",
-    ),
-    "space": click.option(
-        "--space",
-        type=click.Choice(list(SPACES)),
-        default="linear-rgb",
-        show_default=True,
-        help="Blending space.",
-    ),
-    "primaries": click.option(
-        "--primaries",
-        type=click.Choice([*WORKING_PRIMARIES, BOTTOM]),
-        default="rec709",
-        show_default=True,
-        help="Blend in these primaries, to which files in others are converted; bottom: in those "
-        "of the bottom layer. They decide luminance and hue, and an EXR is written in them.",
-    ),
-    "hue_tolerance": click.option(
-        "--hue-tolerance",
-        type=float,
-        default=DEFAULT_HUE_TOLERANCE,
-        show_default=True,
-        metavar="DEGREES",
-        help="Hues closer than this, 0 to 90, are equal; 0 is the paper's operator.",
-    ),
-    "gray_bias": click.option(
-        "--gray-bias",
-        type=float,
-        default=0.0,
-        show_default=True,
-        metavar="0…1",
-        help="How much less different hues cancel each other to grey; 0 is the paper's operator.",
-    ),
-    "exposure": click.option(
-        "--exposure",
-        type=float,
-        default=0.0,
-        show_default=True,
-        metavar="STOPS",
-        help="Brighten or darken the result.",
-    ),
-    "canvas": click.option(
-        "--canvas",
-        default="bottom",
-        show_default=True,
-        metavar="CANVAS",
-        help="bottom (the bottom layer's display window), union, intersection, or WxH+X+Y.",
-    ),
-    "overscan": click.option(
-        "--overscan", is_flag=True, help="EXR: keep pixels beyond the canvas."
-    ),
-    "background": click.option(
-        "--background", metavar="COLOR", help="Put a CSS hex colour under the result."
-    ),
-    "nonfinite": click.option(
-        "--nonfinite",
-        type=click.Choice(["error", "zero", "keep"]),
-        default="error",
-        show_default=True,
-        help="NaN and Inf in a layer: error (refuse it), zero (the pixel becomes transparent), "
-        "keep.",
-    ),
-    "strict": click.option("--strict", is_flag=True, help="Treat warnings as errors."),
-}
+
+def _click_option(row: NamedOption, help: str | None, hidden: bool) -> Callable[[F], F]:
+    option = row.option
+    flag = f"--{row.name.replace('_', '-')}"
+    how: dict[str, Any] = {
+        "help": help or option.help,
+        "default": row.default,
+        "metavar": option.metavar or None,
+        "hidden": hidden,
+    }
+    if row.default is True:
+        return click.option(f"{flag}/--no-{flag[2:]}", show_default=True, **how)
+    if row.default is False:
+        return click.option(flag, is_flag=True, **how)
+    if option.is_path:
+        how["type"] = click.Path(readable=False)
+    elif option.choices:
+        how["type"] = click.Choice(option.choices)
+    elif option.least is not None:
+        how["type"] = click.IntRange(min=option.least)
+    elif row.kind is not None:
+        how["type"] = row.kind
+    if row.default == ():
+        del how["default"]
+        return click.option(flag, multiple=True, **how)
+    return click.option(flag, show_default=row.default is not None, **how)
 
 
-def stack_options(*names: str) -> Callable[[F], F]:
-    """The options of those names, in that order in the help."""
+def stack_options(
+    *names: str, help: Mapping[str, str] | None = None, hidden: bool = False
+) -> Callable[[F], F]:
+    """The options of those names, in that order in the help; `help`: other sentences of some.
+
+    `hidden`: accepted, and not shown, since they change nothing.
+    """
 
     def decorate(function: F) -> F:
         for name in reversed(names):
-            function = STACK_OPTIONS[name](function)
+            function = _click_option(OPTIONS[name], (help or {}).get(name), hidden)(function)
         return function
 
     return decorate
+
+
+def other_options(*names: str) -> Callable[[F], F]:
+    """All options of a stack but those of these names, which change nothing where this stands.
+
+    So one list of options can be given to `stack`, `check` and `explain`. `format` is not among
+    them: it says where a picture goes, and a report has formats of its own.
+    """
+    return stack_options(*(n for n in OPTIONS if n not in (*names, "format")), hidden=True)
+
+
+#: What makefiles ask of every command that reads files, and of every one that writes them.
+depfile_options = stack_options("depfile", "depfile_target")
+make_options = stack_options("depfile", "depfile_target", "write_if_changed")
+
+#: What every command that makes one picture takes first.
+output_option = click.option(
+    "-o",
+    "--output",
+    required=True,
+    metavar="PATH",
+    type=click.Path(readable=False),
+    help="Write here: a path ending in .png or .exr, or - for stdout with --format.",
+)

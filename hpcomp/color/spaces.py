@@ -240,6 +240,9 @@ def _linear(name: str, rgb_to_xyz: Matrix, found: PlaneCoefficients) -> Space:
     return Space(name, rgb_to_xyz, forward, inverse, found)
 
 
+#: The space of the paper.
+DEFAULT_SPACE = "linear-rgb"
+
 #: Each space by its name, as a function of the primaries' RGB→XYZ.
 BUILDERS: dict[str, Callable[[Matrix], Space]] = {
     "linear-rgb": linear_rgb,

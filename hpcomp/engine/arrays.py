@@ -9,18 +9,35 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..blending import addition
-from ..blending.addition import DEFAULT_HUE_TOLERANCE
-from ..blending.rules import stack_rules
 from ..color import gamut, spaces
 from ..color.encoding import Losses, to_xyz, working_primaries
 from ..color.samples import Strip
 from ..errors import MismatchError
+from ..measures.labels import BLOCK_PIXELS, StackMeasures, measure_settings, measured
+from ..options import RuleOptions, stack_rules
 from . import choice as engine
 
 Array = NDArray[np.floating[Any]]
 
 #: Pixels that `composite` hands to an engine at a time.
 STRIP_PIXELS = 1 << 18
+
+
+def _of_one_shape(layers: Sequence[ArrayLike]) -> list[NDArray[Any]]:
+    """The layers as arrays (…, 4). Errors: `MismatchError`."""
+    arrays = [np.asarray(layer) for layer in layers]
+    shape = arrays[0].shape
+    for number, array in enumerate(arrays):
+        if array.ndim == 0 or array.shape[-1] != 4:
+            raise MismatchError(
+                f"layer {number} has shape {array.shape}: RGBA needs 4 components on the last axis"
+            )
+        if array.shape != shape:
+            raise MismatchError(
+                f"layer {number} has shape {array.shape} but layer 0 has {shape}: "
+                "place all layers on one canvas first"
+            )
+    return arrays
 
 
 def composite(layers: Sequence[ArrayLike], **rules: Any) -> Array:
@@ -45,19 +62,9 @@ def composite(layers: Sequence[ArrayLike], **rules: Any) -> Array:
     Source: Chuang et al. 2009, Eq. 1–3 and Algorithm 1; Porter and Duff 1984.
     """
     checked = stack_rules(len(layers), **rules)
-    arrays = [np.asarray(layer) for layer in layers]
+    arrays = _of_one_shape(layers)
     dtype = np.result_type(np.float32, *(a.dtype for a in arrays if a.dtype == np.float64))
     shape = arrays[0].shape
-    for number, array in enumerate(arrays):
-        if array.ndim == 0 or array.shape[-1] != 4:
-            raise MismatchError(
-                f"layer {number} has shape {array.shape}: RGBA needs 4 components on the last axis"
-            )
-        if array.shape != shape:
-            raise MismatchError(
-                f"layer {number} has shape {array.shape} but layer 0 has {shape}: "
-                "place all layers on one canvas first"
-            )
     flat = [array.reshape(-1, 4) for array in arrays]
     result = np.empty((len(flat[0]), 4), dtype)
     for begin in range(0, len(result), STRIP_PIXELS):
@@ -74,10 +81,10 @@ def hue_add(
     c1: ArrayLike,
     c2: ArrayLike,
     *,
-    hue_tolerance: float = DEFAULT_HUE_TOLERANCE,
-    gray_bias: float = 0.0,
-    space: str = "linear-rgb",
-    primaries: str = "rec709",
+    hue_tolerance: float = RuleOptions.hue_tolerance,
+    gray_bias: float = RuleOptions.gray_bias,
+    space: str = RuleOptions.space,
+    primaries: str = RuleOptions.primaries,
 ) -> Array:
     """The hue-preserving sum c1 ⊕ c2 of two premultiplied colours.
 
@@ -106,3 +113,32 @@ def hue_add(
     bounds = gamut.bounds_of(blending_space, first) + gamut.bounds_of(blending_space, second)
     rgb = gamut.colors_within(blending_space, y1 + y2, p, bounds)  # Eq. 1
     return rgb.T.reshape(a.shape)
+
+
+def stack_measures(layers: Sequence[ArrayLike], **settings: Any) -> StackMeasures:
+    """Measures what compositing does to the hues of layers, bottom first.
+
+    `layers`: arrays (…, 4) of one shape; linear, premultiplied RGBA; measured in float32.
+    `settings`: the rules of `composite` under the same names, and
+      `half_step` 0.5/65535: |p| above which a term contributes and a result has chroma;
+      `achromatic` 0.02: saturation in [0, 1] below which a result is grey;
+      `foreign_tolerance` twice `hue_tolerance`, and the space's `gamut_turn` more: degrees between
+        p vectors.
+    Returns: the `StackMeasures`, of which those of several strips can be added.
+    Errors: `SettingError` for a setting, `MismatchError` for layers of different shapes.
+    Source: the measures are this project's; the operator is of Chuang et al. 2009.
+    """
+    own = {
+        name: settings.pop(name)
+        for name in ("half_step", "achromatic", "foreign_tolerance")
+        if name in settings
+    }
+    rules = stack_rules(len(layers), **settings)
+    checked = measure_settings(rules, **own)
+    flat = [array.reshape(-1, 4) for array in _of_one_shape(layers)]
+    total = StackMeasures.none(rules, checked)
+    for begin in range(0, len(flat[0]), BLOCK_PIXELS):
+        block = np.array([layer[begin : begin + BLOCK_PIXELS] for layer in flat], np.float32)
+        np.clip(block[..., 3], 0, 1, out=block[..., 3])
+        total += measured(rules, checked, block)[0]
+    return total

@@ -8,15 +8,15 @@ from functools import partial
 
 import numpy as np
 
+from ..blending import deepsamples
 from ..blending.addition import BLENDINGS
+from ..blending.deepsamples import DeepSamples, Floats, Ints
 from ..blending.orders import ORDERS
 from ..blending.porter_duff import operator
 from ..blending.rules import Reduction, StackRules
 from ..color.encoding import REC709, Losses, Primaries
 from ..color.samples import OUTPUT_TYPES, Samples, Strip
 from . import choice as engine
-from . import deepsamples
-from .deepsamples import DeepSamples, Floats, Ints
 
 #: Samples in one place that are added at once; what that takes grows faster than their number. More
 #: are sorted by hue, and then every so many neighbours are one, which keeps groups of one hue

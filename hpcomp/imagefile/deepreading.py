@@ -11,16 +11,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..blending.deepsamples import DeepSamples
 from ..color.encoding import Primaries, color_space
 from ..color.samples import Decoding, decode
-from ..engine.deepsamples import DeepSamples
 from ..errors import InputError, MismatchError, unknown_name
 from ..geometry import Window
 from .deepchunks import COMPRESSIONS, DeepChunks, DeepCounts, layout_of
 from .description import describe
+from .forms import NONFINITE_POLICIES
 from .parts import ColorGroup, ImageFile, Part, choose, deep_alpha
 from .rawfile import RawFile
-from .reading import NONFINITE_POLICIES
 from .seekable import temporary
 
 log = logging.getLogger("hpcomp")

@@ -10,10 +10,9 @@ from ..color.encoding import Primaries, color_space, parse_hex_color
 from ..color.samples import Decoding, Rgba, Samples, Strip, linear_rgba
 from ..errors import InputError, MismatchError, unknown_name
 from ..geometry import Window
+from .forms import NONFINITE_POLICIES
 from .parts import ColorGroup, ImageFile, Part
 from .source import source_of
-
-NONFINITE_POLICIES = ("error", "zero", "keep")
 
 #: Rows that are read at a time where the caller does not say: whole compression blocks, few calls.
 STRIP_ROWS = 64

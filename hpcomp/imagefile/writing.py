@@ -12,20 +12,9 @@ from ..errors import SettingError, unknown_name
 from ..geometry import Window
 from . import exrscanlines, pngwriter
 from .exrscanlines import ExrForm
+from .forms import COMPRESSIONS, DEPTHS, EXR_COMPRESSIONS, FORMATS
 from .parts import METRES_PER_INCH
 from .seekable import STDIN
-
-EXR_COMPRESSIONS = (
-    "zip", "none", "rle", "zips", "piz", "pxr24", "b44", "b44a", "dwaa", "dwab",
-    "htj2k256", "htj2k32",
-)  # fmt: skip
-_ROWS_PER_BLOCK = {
-    "zip": 16, "piz": 32, "pxr24": 16, "b44": 32, "b44a": 32, "dwaa": 32, "dwab": 256,
-    "htj2k256": 256, "htj2k32": 32,
-}  # fmt: skip
-DEPTHS = {"png": ("8", "16"), "exr": ("half", "float")}
-COMPRESSIONS = {"png": tuple(pngwriter.COMPRESSIONS), "exr": EXR_COMPRESSIONS}
-FORMATS = tuple(DEPTHS)
 
 #: The state and buffers of a codec.
 _CODEC_BYTES = 1 << 17
@@ -90,7 +79,7 @@ class OutputForm:
         if self.format == "png":
             # Segments gathered, filtered and deflated, one in each of two threads.
             return _CODEC_BYTES + 8 * pngwriter.segment_bytes(width * self._stored_bytes)
-        rows = _ROWS_PER_BLOCK.get(self.compression, 1)
+        rows = EXR_COMPRESSIONS[self.compression]
         block = rows * width * self._stored_bytes
         if self.by_openimageio:
             # OpenEXR keeps two line buffers a thread, each with a compressor of its own.

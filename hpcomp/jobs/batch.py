@@ -15,8 +15,9 @@ from typing import Any, BinaryIO
 
 from ..errors import ExitCode, InputError, SettingError
 from ..imagefile.seekable import STDIN
-from ..pipeline.budget import DEFAULT_MAX_MEMORY, parse_bytes
+from ..options import OutputOptions, ResourceOptions
 from ..system.depfile import Depfile
+from ..system.memory import parse_bytes
 from ..system.outputs import STDOUT, check_places, stdout_bytes, writing
 from .doing import maker
 from .jobfile import read_jobs
@@ -85,12 +86,12 @@ def batch(
     format: str | None = None,
     workers: int | None = None,
     threads: int | None = None,
-    max_memory: str | int = DEFAULT_MAX_MEMORY,
+    max_memory: str | int = ResourceOptions.max_memory,
     fail_fast: bool = False,
     skip_existing: bool = False,
     update: bool = False,
     resume: bool = False,
-    write_if_changed: bool = False,
+    write_if_changed: bool = OutputOptions.write_if_changed,
     state: str | os.PathLike[str] | None = None,
     log_to: str | os.PathLike[str] | None = None,
     depfile: str | os.PathLike[str] | None = None,

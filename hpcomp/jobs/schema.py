@@ -1,11 +1,10 @@
 """What a job is: `{"layers": [LAYER, …], "output": PATH}` and options of `stack`, as a table.
 
-The names of the options, and what they take, are those of the parameters of `stack`. Reads no file.
+The names of the options, and what they take, are those of `options`. Reads no file.
 """
 
 from __future__ import annotations
 
-import inspect
 import json
 import os
 import typing
@@ -19,14 +18,12 @@ from ..errors import SettingError, unknown_key
 from ..geometry import Window
 from ..imagefile.seekable import STDIN
 from ..layers.layerspec import LayerSpec, layer_spec
-from ..pipeline.stack import stack
+from ..options import OPTIONS
 
 #: The version of the schema that is read and written.
 SCHEMA_VERSION = 1
 #: What a job has beside the options of `stack`.
 _OWN_KEYS = ("version", "layers", "output")
-#: Parameters of `stack` that are no options: what only the command line knows.
-_NO_OPTIONS = ("layers", "output", "command")
 
 
 @dataclass(frozen=True)
@@ -88,11 +85,8 @@ _KINDS: dict[Any, tuple[str, Callable[[Any], bool], dict[str, str]]] = {
 
 @cache
 def job_options() -> dict[str, Any]:
-    """The options of a job: those of `stack`, each with the type of its parameter."""
-    hints = typing.get_type_hints(stack)
-    return {
-        name: hints[name] for name in inspect.signature(stack).parameters if name not in _NO_OPTIONS
-    }
+    """The options of a job: those of `stack`, each with the type of its value."""
+    return {name: row.hint for name, row in OPTIONS.items()}
 
 
 @cache
@@ -303,10 +297,9 @@ def jobs_of(tables: Sequence[Mapping[str, Any] | Job]) -> list[Job]:
 
 def job_of_stack(layers: Sequence[Any], output: str, options: Mapping[str, Any]) -> Job:
     """The job of a call of `stack`, with those of its options that are not as they are anyway."""
-    defaults = inspect.signature(stack).parameters
     given = {
         name: list(value) if isinstance(value, tuple) else value
         for name, value in options.items()
-        if name in job_options() and value != defaults[name].default
+        if name in OPTIONS and value != OPTIONS[name].default
     }
     return checked_job({"layers": list(layers), "output": output, **given}, {}, "job")

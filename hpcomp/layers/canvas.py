@@ -6,11 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import reduce
 
-from ..errors import MismatchError, SettingError
-from ..geometry import Placement, Window, parse_window
-
-#: The canvases that have a name; any other is a window.
-CANVASES = ("bottom", "union", "intersection")
+from ..errors import MismatchError
+from ..geometry import Placement, Window
 
 
 @dataclass(frozen=True)
@@ -29,18 +26,6 @@ class Canvas:
 
     window: Window
     offsets: tuple[tuple[int, int], ...]
-
-
-def parse_canvas(canvas: str | Window) -> str | Window:
-    """A canvas's name as it is, or its window from `WxH+X+Y`; `SettingError` otherwise."""
-    if isinstance(canvas, Window) or canvas in CANVASES:
-        return canvas
-    try:
-        return parse_window(canvas)
-    except SettingError:
-        raise SettingError(
-            f"unknown canvas '{canvas}': choose one of {', '.join(CANVASES)}, or WxH+X+Y"
-        ) from None
 
 
 def lay_out(layers: Sequence[LayerWindows], canvas: str | Window) -> Canvas:

@@ -9,21 +9,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..blending.rules import StackRules, stack_rules
-from ..color.encoding import (
-    BOTTOM,
-    REC709,
-    WORKING_PRIMARIES,
-    converted,
-    parse_hex_color,
-    working_primaries,
-)
+from ..blending.rules import StackRules
+from ..color.encoding import BOTTOM
 from ..color.samples import Strip
-from ..errors import SettingError, unknown_name
+from ..errors import SettingError
 from ..geometry import Window
-from ..imagefile.reading import NONFINITE_POLICIES, LayerReader
+from ..imagefile.reading import LayerReader
 from ..imagefile.seekable import STDIN
-from .canvas import LayerWindows, lay_out, parse_canvas
+from ..options import RuleOptions, StackOptions
+from .canvas import LayerWindows, lay_out
 from .layerspec import LayerSpec, layer_spec
 from .notices import Notices, warn_of_layers
 from .opening import opened_layer
@@ -85,77 +79,41 @@ def _numbered(number: int, layer: Layer) -> LayerSpec:
         raise SettingError(f"layer {number} ({layer}): {problem}") from None
 
 
-def rules_of(
-    specs: Sequence[LayerSpec],
-    op: str,
-    blending: str,
-    order: str | Sequence[int],
-    space: str,
-    hue_tolerance: float,
-    background: str | Sequence[float] | None,
-    exposure: float,
-    primaries: str,
-    *,
-    gray_bias: float = 0.0,
-) -> StackRules:
+def rules_of(specs: Sequence[LayerSpec], options: RuleOptions) -> StackRules:
     """The rules of a stack of these layers, whose own settings go first. Errors: `SettingError`.
 
-    Of `bottom` they are in Rec. 709: `opened_stack` knows better.
+    With the primaries `bottom` they are in Rec. 709, until `opened_stack` knows better.
     """
-    if primaries not in (*WORKING_PRIMARIES, BOTTOM):
-        raise unknown_name("primaries", primaries, [*WORKING_PRIMARIES, BOTTOM])
-    name = REC709.name if primaries == BOTTOM else primaries
-    color = background
-    if isinstance(color, str):
-        hex_color = np.array(parse_hex_color(color))
-        color = converted(hex_color, REC709, working_primaries(name)).tolist()
-    return stack_rules(
-        len(specs),
-        op=[spec.op or (op if number else None) for number, spec in enumerate(specs)],
-        opacity=[spec.opacity for spec in specs],
-        blending=blending,
-        order=order,
-        space=space,
-        hue_tolerance=hue_tolerance,
-        gray_bias=gray_bias,
-        background=color,
-        exposure=exposure,
-        primaries=name,
+    return options.of_layers(
+        [spec.op or (options.op if number else None) for number, spec in enumerate(specs)],
+        [spec.opacity for spec in specs],
     )
 
 
 @contextlib.contextmanager
 def opened_stack(
-    specs: Sequence[LayerSpec],
-    rules: StackRules,
-    *,
-    primaries: str,
-    canvas: str | Window,
-    nonfinite: str,
-    notices: Notices,
+    specs: Sequence[LayerSpec], rules: StackRules, options: StackOptions, notices: Notices
 ) -> Iterator[PlacedStack]:
     """The layers opened and placed as `stack` does, with its warnings; closed at the end.
 
-    `primaries`: as asked for in `rules_of`; of `bottom`, the rules are put into those found.
+    `rules`: those of `rules_of`; they are put into the primaries that `options` ask for.
     Errors: `SettingError`, `InputError`, `MismatchError`.
     """
-    wanted = parse_canvas(canvas)
-    if nonfinite not in NONFINITE_POLICIES:
-        raise unknown_name("nonfinite policy", nonfinite, NONFINITE_POLICIES)
     if [spec.path for spec in specs].count(STDIN) > 1:
         raise SettingError("stdin can be only one of the layers")
+    nonfinite = options.rules.nonfinite
     with contextlib.ExitStack() as opened:
         _allow_open_files(len(specs))
         readers = [
             opened.enter_context(opened_layer(spec, spec.label(number), nonfinite))
             for number, spec in enumerate(specs)
         ]
-        if primaries == BOTTOM:
+        if options.rules.primaries == BOTTOM:
             rules = rules.in_primaries(readers[0].decoding.encoding.primaries)
         for reader in readers:
             reader.work_in(rules.primaries)
         warn_of_layers(rules, readers, notices)
-        window, placed = _placed(specs, readers, wanted)
+        window, placed = _placed(specs, readers, options.canvas.canvas)
         yield PlacedStack(rules, window, tuple(placed))
 
 

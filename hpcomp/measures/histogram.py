@@ -102,7 +102,7 @@ class HueHistogram:
     @staticmethod
     def empty(
         bins: int = DEFAULT_BINS,
-        space: str = "linear-rgb",
+        space: str = spaces.DEFAULT_SPACE,
         achromatic: float = DEFAULT_ACHROMATIC,
     ) -> HueHistogram:
         """The histogram of no pixels. Errors: `SettingError`."""
@@ -296,7 +296,7 @@ def hue_histogram(
     pixels: ArrayLike,
     *,
     bins: int = DEFAULT_BINS,
-    space: str | spaces.Space = "linear-rgb",
+    space: str | spaces.Space = spaces.DEFAULT_SPACE,
     achromatic: float = DEFAULT_ACHROMATIC,
 ) -> HueHistogram:
     """Counts pixels by hue.

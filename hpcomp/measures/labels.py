@@ -15,14 +15,14 @@ from functools import reduce
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from ..blending.addition import ROUNDING_ANGLE, sum_traditional
 from ..blending.orders import ORDERS
-from ..blending.rules import StackRules, stack_rules
+from ..blending.rules import StackRules
 from ..blending.terms import weighted
 from ..color.gamut import bounds_of, colors_within
-from ..errors import MismatchError, SettingError
+from ..errors import SettingError
 from .histogram import DEFAULT_ACHROMATIC, LARGEST_ADDEND, SUM_UNIT
 
 Array = NDArray[np.float32]
@@ -251,41 +251,6 @@ class Provenance:
 
 
 # --- pixels ---------------------------------------------------------------------------------------
-
-
-def stack_measures(layers: Sequence[ArrayLike], **settings: Any) -> StackMeasures:
-    """Measures what compositing does to the hues of layers, bottom first.
-
-    `layers`: arrays (…, 4) of one shape; linear, premultiplied RGBA; measured in float32.
-    `settings`: the rules of `composite` under the same names, and
-      `half_step` 0.5/65535: |p| above which a term contributes and a result has chroma;
-      `achromatic` 0.02: saturation in [0, 1] below which a result is grey;
-      `foreign_tolerance` twice `hue_tolerance`, and the space's `gamut_turn` more: degrees between
-        p vectors.
-    Returns: the `StackMeasures`, of which those of several strips can be added.
-    Errors: `SettingError` for a setting, `MismatchError` for layers of different shapes.
-    Source: the measures are this project's; the operator is of Chuang et al. 2009.
-    """
-    own = {
-        name: settings.pop(name)
-        for name in ("half_step", "achromatic", "foreign_tolerance")
-        if name in settings
-    }
-    rules = stack_rules(len(layers), **settings)
-    checked = measure_settings(rules, **own)
-    arrays = [np.asarray(layer) for layer in layers]
-    for number, array in enumerate(arrays):
-        if array.shape != arrays[0].shape or array.ndim == 0 or array.shape[-1] != 4:
-            raise MismatchError(
-                f"layer {number} has shape {array.shape}: all need one shape, RGBA on the last axis"
-            )
-    flat = [array.reshape(-1, 4) for array in arrays]
-    total = StackMeasures.none(rules, checked)
-    for begin in range(0, len(flat[0]), BLOCK_PIXELS):
-        block = np.array([layer[begin : begin + BLOCK_PIXELS] for layer in flat], np.float32)
-        np.clip(block[..., 3], 0, 1, out=block[..., 3])
-        total += measured(rules, checked, block)[0]
-    return total
 
 
 def measured(

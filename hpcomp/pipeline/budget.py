@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 from ..blending.rules import Reduction, StackRules
 from ..engine import choice as engine
-from ..errors import MismatchError, SettingError
+from ..errors import MismatchError
+from ..geometry import Window
 from ..imagefile.reading import STRIP_ROWS, LayerReader
 from ..imagefile.writing import OutputForm
-from ..system.threads import reads_ahead, writes_behind
-
-DEFAULT_MAX_MEMORY = "1G"
+from ..options import ResourceOptions
+from ..system.memory import parse_bytes
+from ..system.threads import reads_ahead, thread_count, writes_behind
 
 #: Layers that are added in one pass over a strip, where they fold.
 LAYERS_AT_ONCE = 8
@@ -27,17 +27,6 @@ NUMPY_BYTES = 10 << 20
 RGBA_BYTES, PLANES_BYTES, DECODING_BYTES = 16, 20, 180
 #: The two planes more of a space in which the result is to be brought back into gamut.
 BOUNDS_BYTES = 8
-
-_BYTES = re.compile(r"(\d+(?:\.\d+)?)\s*([KMGT]?)(?:i?B)?", re.IGNORECASE | re.ASCII)
-
-
-def parse_bytes(text: str | int) -> int:
-    """A number of bytes from `64M`, `1.5G` or a plain number; powers of 1024."""
-    match = _BYTES.fullmatch(str(text))
-    if not match:
-        raise SettingError(f"'{text}' is not an amount of memory: write 512M or 2G")
-    number, unit = match.groups()
-    return int(float(number) * 1024 ** " KMGT".index(unit.upper() or " "))
 
 
 @dataclass(frozen=True)
@@ -111,3 +100,26 @@ class Budget:
     def least(self, block: int) -> int:
         """The memory for strips of one compression block: any less would decode it many times."""
         return int((self.fixed + block * self.per_row) / USED_SHARE) + 1
+
+
+def share_out(
+    readers: Sequence[LayerReader],
+    window: Window,
+    rules: StackRules,
+    form: OutputForm,
+    granted: ResourceOptions,
+    extra: tuple[int, int],
+) -> tuple[int, int]:
+    """How many threads make the stack, and how many rows at a time.
+
+    More threads take more memory: there are no more of them than it has room for. `extra`: as in
+    `Budget.of`. Errors: `MismatchError` that names the least memory this stack can be made in.
+    """
+    memory = parse_bytes(granted.max_memory)
+    threads = thread_count(granted.threads)
+    block = max(reader.rows_at_once for reader in readers)
+    while True:
+        budget = Budget.of(readers, window.width, rules, form, threads, extra)
+        if threads == 1 or budget.least(min(block, window.height)) <= memory:
+            return threads, budget.rows(block, window.height, memory)
+        threads -= 1

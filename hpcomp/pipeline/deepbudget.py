@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..blending import deepsamples
 from ..engine import choice as engine
-from ..engine import deepsamples
 from ..errors import MismatchError
 from ..geometry import Window
 from ..imagefile.deepreading import DeepReader

@@ -1,4 +1,4 @@
-"""Deep images, strip by strip, from files to one flat file: who holds which samples when.
+"""Deep images, from files to one flat file: what is asked, what will be done, doing it.
 
 What samples a pixel has is `deepsamples`' matter, how their colours are added the engine's.
 """
@@ -13,36 +13,34 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from threading import Lock
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..blending.addition import DEFAULT_HUE_TOLERANCE
+from ..blending import deepsamples
+from ..blending.deepsamples import DeepSamples
 from ..blending.orders import ORDERS
 from ..blending.rules import StackRules
 from ..color.encoding import BOTTOM, Losses
 from ..color.samples import Samples
 from ..engine import choice as engine
-from ..engine import deepsamples
 from ..engine.deepcompositing import bytes_to_reduce, flat
-from ..engine.deepsamples import DeepSamples
-from ..errors import SettingError, unknown_name
-from ..geometry import Window, parse_window
+from ..errors import SettingError
+from ..geometry import Window
 from ..imagefile.deepreading import DeepReader, open_deep
-from ..imagefile.reading import NONFINITE_POLICIES
 from ..imagefile.seekable import STDIN, seekable
 from ..imagefile.source import codec_threads
-from ..imagefile.writing import OutputForm, format_of_output, open_writer
-from ..layers.canvas import LayerWindows, lay_out, output_window, parse_canvas
+from ..imagefile.writing import OutputForm
+from ..layers.canvas import LayerWindows, lay_out, output_window
 from ..layers.layerspec import LayerSpec
 from ..layers.notices import Notices, warn_of_losses, warn_of_problems
-from ..layers.placing import Layer, layer_specs, rules_of
-from ..system.depfile import Depfile
-from ..system.outputs import check_places, whole_output
+from ..layers.placing import Layer, layer_specs
+from ..options import OPTIONS, ResourceOptions, StackOptions, takes_options
+from ..system.memory import parse_bytes
 from ..system.threads import Workers, thread_count
-from .budget import DEFAULT_MAX_MEMORY, parse_bytes
 from .deepbudget import Need
-from .stack import StackResult
+from .picture import PicturePlan, PictureRequest, StackResult
 
 log = logging.getLogger("hpcomp")
 
@@ -101,33 +99,18 @@ def _no_samples(counts: NDArray[np.int64]) -> DeepSamples:
     return DeepSamples(counts.ravel(), none, none, np.empty((0, 4), np.float32))
 
 
+#: The options of a picture that say nothing of samples: these have no operators and no numbers.
+_OF_STACKS = ("op", *(name for name, row in OPTIONS.items() if row.group == "reports"))
+#: Those that `flatten` takes.
+FLATTEN_OPTIONS = tuple(name for name in OPTIONS if name not in _OF_STACKS)
+
+
+@takes_options(*FLATTEN_OPTIONS)
 def flatten(
     images: Layer | Sequence[Layer],
     output: str | os.PathLike[str],
-    *,
-    format: str | None = None,
-    blending: str = "hue-preserving",
-    order: str = "bottom-up",
-    space: str = "linear-rgb",
-    primaries: str = "rec709",
-    hue_tolerance: float = DEFAULT_HUE_TOLERANCE,
-    gray_bias: float = 0.0,
-    depth: str | int | None = None,
-    compression: str | int | None = None,
-    out_primaries: str | None = None,
-    exposure: float = 0.0,
-    region: str | Window | None = None,
-    clobber: bool = True,
-    canvas: str | Window = "bottom",
-    overscan: bool = False,
-    background: str | Sequence[float] | None = None,
-    nonfinite: str = "error",
-    strict: bool = False,
-    threads: int | None = None,
-    max_memory: str | int = DEFAULT_MAX_MEMORY,
-    depfile: str | os.PathLike[str] | None = None,
-    depfile_target: str | Sequence[str] = (),
-    write_if_changed: bool = False,
+    asked: StackOptions | None = None,
+    **options: Any,
 ) -> StackResult:
     """Composites the samples of deep EXR files along each viewing ray into one flat file.
 
@@ -143,103 +126,107 @@ def flatten(
     Warnings: `HpcompWarning`; errors with `strict`.
     Source: Chuang et al. 2009; OpenEXR: Interpreting Deep Pixels.
     """
+    checked = StackOptions.of(options, base=asked, names=FLATTEN_OPTIONS)
+    request = _requested(images, os.fspath(output), checked)
+    request.check_places()
+    with contextlib.ExitStack() as opened:
+        return _made(_planned(request, opened))
+
+
+def _requested(
+    images: Layer | Sequence[Layer], output: str, options: StackOptions
+) -> PictureRequest:
     several = [images] if isinstance(images, (str, os.PathLike, LayerSpec)) else list(images)
     specs = deep_specs(several)
-    output = os.fspath(output)
+    order = options.rules.order
     if order not in ORDERS:
         raise SettingError(
             f"order '{order}' is not one for samples, which have no numbers: choose one of "
             + ", ".join(ORDERS)
         )
-    rules = rules_of(
-        specs[:1],
-        "over",
-        blending,
-        order,
-        space,
-        hue_tolerance,
-        background,
-        exposure,
-        primaries,
-        gray_bias=gray_bias,
-    )
-    form = OutputForm.checked(format_of_output(output, format), depth, compression, out_primaries)
-    if overscan and form.format == "png":
-        raise SettingError("a PNG ends at its canvas: --overscan needs an EXR output")
-    wanted_region = parse_window(region) if isinstance(region, str) else region
-    wanted_canvas = parse_canvas(canvas)
-    if nonfinite not in NONFINITE_POLICIES:
-        raise unknown_name("nonfinite policy", nonfinite, NONFINITE_POLICIES)
-    deps = Depfile.asked(depfile, depfile_target, [output])
-    check_places([output, *([deps.path] if deps else ())])
-    n_threads = thread_count(threads)
-    max_bytes = parse_bytes(max_memory)
+    # Of a stack of one layer: how many there are differs from pixel to pixel.
+    rules = options.rules.of_layers([None], [1.0])
+    return PictureRequest.checked(specs, output, options, rules)
 
-    notices = Notices(strict)
-    shown = "stdout" if output == STDIN else output
-    with contextlib.ExitStack() as opened:
-        target = opened.enter_context(
-            whole_output(output, clobber=clobber, if_changed=write_if_changed)
+
+@dataclass(frozen=True)
+class FlatteningPlan(PicturePlan):
+    """The plan of flattening: the images where they lie, and the strips that memory allows."""
+
+    images: Sequence[PlacedImage]
+    strips: Sequence[Window]
+
+
+def _planned(request: PictureRequest, opened: contextlib.ExitStack) -> FlatteningPlan:
+    """Opens and places all files, until `opened` closes, and shares out threads and memory."""
+    target = request.placed(opened)
+    request.place_depfile(opened)
+    options, rules = request.options, request.rules
+    notices = Notices(options.rules.strict)
+    readers = [
+        opened.enter_context(_opened_image(spec, options.rules.nonfinite)) for spec in request.specs
+    ]
+    if options.rules.primaries == BOTTOM:
+        rules = rules.in_primaries(readers[0].decoding.encoding.primaries)
+    _prepare(readers, rules, notices)
+    images, canvas = _placed(request.specs, readers, options.canvas.canvas)
+    window = output_window(
+        canvas, [image.window for image in images], options.canvas.overscan, options.canvas.region
+    )
+    threads, strips = _strips(images, window, rules, request.form, options.resources)
+    opened.enter_context(codec_threads([request.form], reading=1, writing=threads))
+    return FlatteningPlan(
+        request,
+        target,
+        rules,
+        canvas,
+        window,
+        threads,
+        readers[0].part,
+        notices,
+        images=images,
+        strips=strips,
+    )
+
+
+def _made(plan: FlatteningPlan) -> StackResult:
+    """Makes the picture."""
+    request, rules, window = plan.request, plan.rules, plan.window
+    log.info(
+        "canvas %s, %s, order %s, space %s, primaries %s",
+        plan.canvas,
+        rules.blending.name,
+        rules.order.name,
+        rules.space.name,
+        rules.primaries.name,
+    )
+    log.info(
+        "writing %s in %d strips, %d threads, engine %s",
+        window,
+        len(plan.strips),
+        plan.threads,
+        engine.active().NAME,
+    )
+    work = _Work(plan.images, rules, request.form)
+    with plan.writer() as writer, Workers[Samples](plan.threads) as workers:
+        # Each strip is a source of its own: they are read and flattened side by side.
+        made = workers.read_ahead(
+            (number, partial(work.strip, rows, workers.go_on))
+            for number, rows in enumerate(plan.strips)
         )
-        if deps is not None:
-            opened.enter_context(deps.written([spec.path for spec in specs], write_if_changed))
-        readers = [opened.enter_context(_opened_image(spec, nonfinite)) for spec in specs]
-        if primaries == BOTTOM:
-            rules = rules.in_primaries(readers[0].decoding.encoding.primaries)
-        _prepare(readers, rules, notices)
-        placed, found = _placed(specs, readers, wanted_canvas)
-        window = output_window(found, [image.window for image in placed], overscan, wanted_region)
-        n_threads, strips = _strips(placed, window, rules, form, max_bytes, n_threads)
-        opened.enter_context(codec_threads([form], reading=1, writing=n_threads))
-        log.info(
-            "canvas %s, %s, order %s, space %s, primaries %s",
-            found,
-            blending,
-            rules.order.name,
-            rules.space.name,
-            rules.primaries.name,
-        )
-        log.info(
-            "writing %s in %d strips, %d threads, engine %s",
-            window,
-            len(strips),
-            n_threads,
-            engine.active().NAME,
-        )
-        writer = open_writer(
-            target,
-            form,
-            window,
-            found,
-            primaries=rules.primaries,
-            pixel_aspect=readers[0].part.pixel_aspect,
-            pixels_per_metre=readers[0].part.pixels_per_metre,
-            label=shown,
-        )
-        work = _Work(placed, rules, form)
-        try:
-            with Workers[Samples](n_threads) as workers:
-                # Each strip is a source of its own: they are read and flattened side by side.
-                made = workers.read_ahead(
-                    (number, partial(work.strip, rows, workers.go_on))
-                    for number, rows in enumerate(strips)
-                )
-                for rows, samples in zip(strips, made, strict=True):
-                    prepare = partial(writer.prepare, rows.y - window.y, samples)
-                    workers.write_behind(prepare, writer.write)
-                    del samples, prepare
-                workers.flush()
-            writer.finish()
-        finally:
-            writer.abandon()
-        for what, seconds in {**work.seconds, "writing": workers.seconds["writing"]}.items():
-            log.info("%s: %.3f s of all threads together", what, seconds)
-        for image, left_out in zip(placed, work.left_out, strict=True):
-            if left_out:
-                samples_are = "1 sample is" if left_out == 1 else f"{left_out} samples are"
-                notices.warn(f"{image.reader.label}: {samples_are} NaN or infinite, and left out")
-        warn_of_losses(shown, work.losses, notices)
-    return StackResult(output, found, window, work.losses)
+        for rows, samples in zip(plan.strips, made, strict=True):
+            prepare = partial(writer.prepare, rows.y - window.y, samples)
+            workers.write_behind(prepare, writer.write)
+            del samples, prepare
+        workers.flush()
+    for what, seconds in {**work.seconds, "writing": workers.seconds["writing"]}.items():
+        log.info("%s: %.3f s of all threads together", what, seconds)
+    for image, left_out in zip(plan.images, work.left_out, strict=True):
+        if left_out:
+            samples_are = "1 sample is" if left_out == 1 else f"{left_out} samples are"
+            plan.notices.warn(f"{image.reader.label}: {samples_are} NaN or infinite, and left out")
+    warn_of_losses(request.shown, work.losses, plan.notices)
+    return StackResult(request.output, plan.canvas, window, work.losses)
 
 
 def deep_specs(images: Sequence[Layer]) -> list[LayerSpec]:
@@ -307,12 +294,17 @@ def _strips(
     window: Window,
     rules: StackRules,
     form: OutputForm,
-    max_bytes: int,
-    threads: int,
+    granted: ResourceOptions,
 ) -> tuple[int, list[Window]]:
     """How many threads memory allows, and the strips in which it allows the window to be made."""
     readers = [image.reader for image in images]
-    need = Need.of(readers, [image.window for image in images], window, form, max_bytes)
+    need = Need.of(
+        readers,
+        [image.window for image in images],
+        window,
+        form,
+        parse_bytes(granted.max_memory),
+    )
     row_samples = np.zeros(window.height, np.int64)
     largest_chunk = deepest = 0
     for image in images:
@@ -324,7 +316,7 @@ def _strips(
     has_volumes = any(reader.has_volumes for reader in readers)
     reducing = bytes_to_reduce(rules, deepest, has_volumes)
     need = replace(need, chunk=largest_chunk, reducing=reducing, deepest=deepest)
-    return need.strips(row_samples, threads)
+    return need.strips(row_samples, thread_count(granted.threads))
 
 
 class _Work:

@@ -1,4 +1,4 @@
-"""What a stack tells beside its picture: findings, provenance and previews, strip by strip.
+"""What a stack tells beside its picture: it is watched strip by strip, and reports are written.
 
 Imported where a report or a provenance is asked for, with all that those need.
 """
@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from ..blending.addition import BLENDINGS
 from ..blending.rules import StackRules
-from ..color.encoding import Losses, Primaries
+from ..color.encoding import REC709, Losses, Primaries
 from ..color.samples import Rgba, Samples, Strip, encode
 from ..engine import choice as engine
 from ..errors import OutputError, SettingError, why
@@ -27,12 +27,12 @@ from ..measures.findings import MeasuredStrip, StackFindings
 from ..measures.histogram import DEFAULT_ACHROMATIC, DEFAULT_BINS, HueHistogram
 from ..measures.labels import (
     ENERGY_WEIGHTS,
-    MeasureSettings,
     Provenance,
     check_energy_weights,
     half_step,
     measure_settings,
 )
+from ..options import StackOptions
 from ..system.outputs import whole_output
 from ..version import __version__
 from .hueformats import report_format
@@ -54,128 +54,194 @@ _BLOCK_BYTES = 1 << 19
 
 
 @dataclass(frozen=True)
-class Inquiry:
-    """What is asked of a stack beside its picture, checked.
+class SeenStrip:
+    """What is kept of one strip: its measures, and planes (height, width) where they are wanted.
 
-    `reports`: path and format of each. `provenance`: a path or None. Behind `opened`, `targets` are
-    where each of these is written to first.
+    `top`: its first row, from that of the window. `pictures`: RGBA as blended, and by plain +.
     """
 
-    reports: tuple[tuple[str, str], ...]
-    provenance: str | None
-    settings: MeasureSettings
-    bins: int
-    energy_weights: tuple[float, float, float]
-    targets: dict[str, str]
+    top: int
+    findings: StackFindings
+    provenance: Provenance | None
+    pictures: tuple[Rgba, Rgba] | None
 
-    @staticmethod
-    def checked(
-        report: Sequence[str | os.PathLike[str]],
-        provenance: str | os.PathLike[str] | None,
-        *,
+
+class Recorder:
+    """Observes a stack: measures every strip, and writes reports and the provenance.
+
+    `output`: what messages call the picture; `labels`: what reports call the layers, bottom first;
+    `command`: what reports say made it. `findings`: of the strips that were written so far.
+    Errors: `SettingError`; `OutputError` where a library is missing.
+    """
+
+    sees_layers = True
+
+    def __init__(
+        self,
+        options: StackOptions,
         rules: StackRules,
-        kind: str,
-        foreign_tolerance: float | None,
-        achromatic: float | None,
-        energy_weights: str | Sequence[float] | None,
-        bins: int | None,
-    ) -> Inquiry:
-        """`kind`: of the samples of the picture.
-
-        Errors: `SettingError`; `OutputError` where a library is missing.
-        """
-        reports = tuple(
-            (path, report_format(path, otherwise="").name)
-            for path in (os.fspath(path) for path in report)
-        )
-        for _, name in reports:
+        form: OutputForm,
+        *,
+        output: str,
+        labels: Sequence[str],
+        command: str,
+    ) -> None:
+        asked = options.reports
+        self._options, self._form = options, form
+        self._output, self._labels, self._command = output, tuple(labels), command
+        self._reports = [(path, report_format(path, otherwise="").name) for path in asked.report]
+        for _, name in self._reports:
             load_stack_renderer(name)
-        planes = None if provenance is None else os.fspath(provenance)
-        if planes is not None and os.path.splitext(planes)[1].lower() != ".exr":
-            raise SettingError(f"provenance {planes} is an EXR: end it in .exr")
-        settings = measure_settings(
+        self._provenance_path = asked.provenance
+        if asked.provenance is not None and os.path.splitext(asked.provenance)[1].lower() != ".exr":
+            raise SettingError(f"provenance {asked.provenance} is an EXR: end it in .exr")
+        self._settings = measure_settings(
             rules,
-            half_step=half_step(kind),
-            achromatic=DEFAULT_ACHROMATIC if achromatic is None else achromatic,
-            foreign_tolerance=foreign_tolerance,
+            half_step=half_step(form.kind),
+            achromatic=DEFAULT_ACHROMATIC if asked.achromatic is None else asked.achromatic,
+            foreign_tolerance=asked.foreign_tolerance,
         )
-        bins = DEFAULT_BINS if bins is None else bins
-        HueHistogram.empty(bins)  # checks them
-        return Inquiry(reports, planes, settings, bins, _weights(energy_weights), {})
+        self._bins = DEFAULT_BINS if asked.bins is None else asked.bins
+        HueHistogram.empty(self._bins)  # checks them
+        self._energy_weights = _weights(asked.energy_weights)
+        self._with_preview = any(needs_preview(name) for _, name in self._reports)
+        self.outputs = [path for path, _ in self._reports]
+        if asked.provenance is not None:
+            self.outputs.append(asked.provenance)
+        self._places: dict[str, str] = {}
+        self.findings: StackFindings | None = None
 
-    @property
-    def with_preview(self) -> bool:
-        return any(needs_preview(name) for _, name in self.reports)
+    def place(self, opened: contextlib.ExitStack) -> None:
+        """Gives each file a place; they appear when `opened` closes in peace."""
+        asked = self._options.output
+        for path in self.outputs:
+            self._places[path] = opened.enter_context(
+                whole_output(path, clobber=asked.clobber, if_changed=asked.write_if_changed)
+            )
 
     def memory(self, layers: int, window: Window) -> tuple[int, int]:
         """Bytes for each pixel of a strip, and for the whole."""
-        return Evidence.memory(layers, self.bins, window, self.with_preview)
-
-    @property
-    def outputs(self) -> list[str]:
-        """The files that it writes."""
-        reports = [path for path, _ in self.reports]
-        return reports if self.provenance is None else [*reports, self.provenance]
-
-    def opened(self, opened: contextlib.ExitStack, clobber: bool, if_changed: bool) -> Inquiry:
-        """The same with a place for each file, which appears when `opened` closes in peace."""
-        targets = {
-            path: opened.enter_context(whole_output(path, clobber=clobber, if_changed=if_changed))
-            for path in self.outputs
-        }
-        return replace(self, targets=targets)
+        preview = _PreviewSums.memory(window) if self._with_preview else 0
+        histograms = (layers + 2) * (self._bins + 1) * _BIN_BYTES * _FINDINGS_HELD
+        return (
+            24 + (64 if self._with_preview else 0),
+            histograms + (layers + 4) * _BLOCK_BYTES + preview,
+        )
 
     @contextlib.contextmanager
-    def evidence(
+    def watch(
         self, rules: StackRules, window: Window, canvas: Window, pixel_aspect: float
-    ) -> Iterator[Evidence]:
-        """What gathers the answers."""
-        writer = None
-        if self.provenance is not None:
+    ) -> Iterator[None]:
+        """Around the pass over the strips of `window`."""
+        self._rules, self._window, self._canvas = rules, window, canvas
+        self.findings = StackFindings.none(rules, self._settings, self._bins)
+        self._preview = _PreviewSums(window, rules.primaries) if self._with_preview else None
+        self._provenance = None
+        if self._provenance_path is not None:
             form = ExrForm("float", "zip", window, canvas, pixel_aspect, planes=_PLANES)
-            writer = ExrScanlineWriter(self.targets[self.provenance], form, self.provenance)
+            place = self._places[self._provenance_path]
+            self._provenance = ExrScanlineWriter(place, form, self._provenance_path)
         try:
-            yield Evidence(
-                rules,
-                self.settings,
-                self.bins,
-                window,
-                with_preview=self.with_preview,
-                provenance=writer,
-            )
+            yield
         finally:
-            if writer is not None:
-                writer.abandon()
+            if self._provenance is not None:
+                self._provenance.abandon()
 
-    def publish(
+    def composite(
         self,
-        evidence: Evidence,
-        *,
-        output: str,
-        command: str,
-        settings: Mapping[str, str],
-        labels: Sequence[str],
-    ) -> None:
-        """Writes the reports, and completes the provenance. Errors: `OutputError`."""
-        evidence.finish()
+        accumulator: engine.Accumulator,
+        strips: Sequence[Strip],
+        rows: Window,
+        form: OutputForm,
+        losses: Losses,
+    ) -> tuple[Samples, SeenStrip]:
+        """The accumulated strip `rows` as samples, and what is seen of it; in any thread.
+
+        `strips`: of all layers, bottom first.
+        """
+        strip = MeasuredStrip(
+            self._rules,
+            self._settings,
+            self._bins,
+            strips,
+            rows.width,
+            rows.height,
+            with_provenance=self._provenance is not None or self._preview is not None,
+        )
+        samples, findings, provenance = engine.result_and_findings(
+            accumulator, form.kind, losses, form.gamut, strip
+        )
+        pictures = None
+        if self._preview is not None:
+            plain = replace(self._rules, blending=BLENDINGS["traditional"])
+            pictures = (
+                _composited(self._rules, strips, rows),
+                _composited(plain, strips, rows),
+            )
+        return samples, SeenStrip(rows.y - self._window.y, findings, provenance, pictures)
+
+    def write(self, seen: SeenStrip) -> None:
+        """Adds a strip to those above it. Errors: `OutputError`."""
+        assert self.findings is not None
+        self.findings += seen.findings
+        if seen.provenance is None:
+            return
+        if self._provenance is not None:
+            planes = np.empty((*seen.provenance.layer.shape, len(_PLANES)), np.float32)
+            # The last plane of the file comes first; numbers keep their bits.
+            planes[..., 0], planes[..., 2] = seen.provenance.margin, seen.provenance.grey
+            planes.view(np.uint32)[..., 1] = seen.provenance.layer
+            self._provenance.write(self._provenance.prepare(seen.top, planes))
+        if self._preview is not None and seen.pictures is not None:
+            self._preview.add(seen.top, seen.pictures, seen.provenance.layer)
+
+    def publish(self) -> None:
+        """Completes the provenance, and writes the reports. Errors: `OutputError`."""
+        assert self.findings is not None
+        if self._provenance is not None:
+            self._provenance.finish()
         report = StackReport(
-            output,
-            command,
+            self._output,
+            self._command,
             __version__,
             engine.active().NAME,
-            settings,
-            tuple(labels),
-            evidence.findings,
-            self.energy_weights,
-            evidence.preview(),
+            self._settings_in_words(),
+            self._labels,
+            self.findings,
+            self._energy_weights,
+            None if self._preview is None else self._preview.result(),
         )
-        for path, name in self.reports:
+        for path, name in self._reports:
             content = render_stack_report(report, name)
             try:
-                with open(self.targets[path], "wb") as file:
+                with open(self._places[path], "wb") as file:
                     file.write(content)
             except OSError as reason:
                 raise OutputError(f"{path}: cannot be written: {why(reason)}") from None
+
+    def _settings_in_words(self) -> dict[str, str]:
+        """What was chosen, as a report shows it."""
+        rules, form = self._rules, self._form
+        background = self._options.rules.background
+        return {
+            "blending": rules.blending.name,
+            "order": rules.order.name,
+            "space": rules.space.name,
+            "primaries": rules.primaries.name,
+            "hue tolerance": f"{rules.hue_tolerance:g}°",
+            "gray bias": f"{rules.gray_bias:g}",
+            "background": "none" if background is None else str(background),
+            "exposure": f"{rules.exposure:g} stops, left out of all measures",
+            "canvas": str(self._canvas),
+            "output": f"{form.format.upper()}, {form.depth}, {form.compression}"
+            + ("" if form.gamut == REC709 else f", {form.gamut.name}"),
+        }
+
+
+def _composited(rules: StackRules, strips: Sequence[Strip], rows: Window) -> Rgba:
+    accumulator = engine.start(rules, rows.width, rows.height)
+    accumulator.add(rules.arrival, [strips[number] for number in rules.arrival])
+    return accumulator.result("float", Losses())
 
 
 def _weights(given: str | Sequence[float] | None) -> tuple[float, float, float]:
@@ -190,121 +256,6 @@ def _weights(given: str | Sequence[float] | None) -> tuple[float, float, float]:
                 f"energy weights '{given}' are not three numbers: write 0.3,0.25,0.45"
             ) from None
     return check_energy_weights(given)
-
-
-#: Of a strip: its findings, and its provenance where that is wanted.
-Found = tuple[StackFindings, Provenance | None]
-
-
-@dataclass(frozen=True)
-class StripEvidence:
-    """That of one strip, on its way to `Evidence.write`."""
-
-    top: int
-    findings: StackFindings
-    provenance: Provenance | None
-    pictures: tuple[Rgba, Rgba] | None
-
-
-class Evidence:
-    """Gathers what a stack tells: `prepare` in any thread, `write` in the order of the strips.
-
-    `bins`: of the hue histograms. `with_preview`: whether pictures are wanted, at the size of a
-    page. `provenance`: writes that file, where there is to be one.
-    """
-
-    def __init__(
-        self,
-        rules: StackRules,
-        settings: MeasureSettings,
-        bins: int,
-        window: Window,
-        *,
-        with_preview: bool,
-        provenance: ExrScanlineWriter | None,
-    ) -> None:
-        self.findings = StackFindings.none(rules, settings, bins)
-        self._rules, self._settings, self._bins, self._window = rules, settings, bins, window
-        self._preview = _PreviewSums(window, rules.primaries) if with_preview else None
-        self._provenance = provenance
-
-    @staticmethod
-    def memory(layers: int, bins: int, window: Window, with_preview: bool) -> tuple[int, int]:
-        """Bytes for each pixel of a strip, and for the whole."""
-        preview = _PreviewSums.memory(window) if with_preview else 0
-        histograms = (layers + 2) * (bins + 1) * _BIN_BYTES * _FINDINGS_HELD
-        return 24 + (64 if with_preview else 0), histograms + (layers + 4) * _BLOCK_BYTES + preview
-
-    def result(
-        self,
-        accumulator: engine.Accumulator,
-        strips: Sequence[Strip],
-        rows: Window,
-        form: OutputForm,
-        losses: Losses,
-    ) -> tuple[Samples, Found]:
-        """The accumulated strip `rows` as samples, and what is found of it.
-
-        `strips`: of all layers, bottom first.
-        """
-        with_provenance = self._provenance is not None or self._preview is not None
-        strip = MeasuredStrip(
-            self._rules,
-            self._settings,
-            self._bins,
-            strips,
-            rows.width,
-            rows.height,
-            with_provenance,
-        )
-        samples, findings, provenance = engine.result_and_findings(
-            accumulator, form.kind, losses, form.gamut, strip
-        )
-        return samples, (findings, provenance)
-
-    def prepare(self, strips: Sequence[Strip], rows: Window, found: Found) -> StripEvidence:
-        """That of the strip `rows` of the canvas; `strips`: of all layers, bottom first."""
-        findings, provenance = found
-        pictures = None
-        if self._preview is not None:
-            plain = replace(self._rules, blending=BLENDINGS["traditional"])
-            pictures = (
-                self._composite(self._rules, strips, rows),
-                self._composite(plain, strips, rows),
-            )
-        return StripEvidence(rows.y - self._window.y, findings, provenance, pictures)
-
-    def write(self, strip: StripEvidence) -> None:
-        """Adds a strip to those above it. Errors: `OutputError`."""
-        self.findings += strip.findings
-        if self._provenance is not None and strip.provenance is not None:
-            found = strip.provenance
-            planes = np.empty((*found.layer.shape, len(_PLANES)), np.float32)
-            # The last plane of the file comes first; numbers keep their bits.
-            planes[..., 0], planes[..., 2] = found.margin, found.grey
-            planes.view(np.uint32)[..., 1] = found.layer
-            self._provenance.write(self._provenance.prepare(strip.top, planes))
-        if (
-            self._preview is not None
-            and strip.pictures is not None
-            and strip.provenance is not None
-        ):
-            self._preview.add(strip.top, strip.pictures, strip.provenance.layer)
-
-    def finish(self) -> None:
-        """Completes the provenance. Errors: `OutputError`."""
-        if self._provenance is not None:
-            self._provenance.finish()
-
-    def preview(self) -> Preview | None:
-        """The pictures of the whole, where they were wanted."""
-        return None if self._preview is None else self._preview.result()
-
-    @staticmethod
-    def _composite(rules: StackRules, strips: Sequence[Strip], rows: Window) -> Rgba:
-        accumulator = engine.start(rules, rows.width, rows.height)
-        accumulator.add(rules.arrival, [strips[number] for number in rules.arrival])
-        return accumulator.result("float", Losses())
 
 
 class _PreviewSums:

@@ -28,9 +28,14 @@ def thread_count(threads: int | None) -> int:
             if hasattr(os, "sched_getaffinity")
             else os.cpu_count() or 1
         )
+    return min(check_threads(threads), MOST_THREADS)
+
+
+def check_threads(threads: int) -> int:
+    """The number of threads as it is; `SettingError` below 1."""
     if threads < 1:
         raise SettingError(f"threads {threads} is below 1")
-    return min(threads, MOST_THREADS)
+    return threads
 
 
 def reads_ahead(threads: int) -> int:

@@ -14,10 +14,11 @@ from collections.abc import Callable
 
 import numpy as np
 
-from hpcomp.blending.rules import StackRules, stack_rules
+from hpcomp.blending.rules import StackRules
 from hpcomp.color.encoding import Losses
 from hpcomp.color.samples import Strip
 from hpcomp.kernel import fused as kernel
+from hpcomp.options import stack_rules
 
 TERMS = (16, 32, 33, 64, 128, 512, 2048, 5000)
 RUNS = 5

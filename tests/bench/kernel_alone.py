@@ -16,11 +16,12 @@ from typing import Any
 
 from drawing import layer
 
-from hpcomp.blending.rules import StackRules, stack_rules
+from hpcomp.blending.rules import StackRules
 from hpcomp.color.encoding import Losses
 from hpcomp.color.samples import Strip
 from hpcomp.color.spaces import SPACES
 from hpcomp.kernel import fused as kernel
+from hpcomp.options import stack_rules
 
 WIDTH, HEIGHT, STRIP_ROWS = 3840, 2160, 64
 

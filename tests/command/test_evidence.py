@@ -25,12 +25,12 @@ from test_findings import ENGINES, TIES
 
 import hpcomp
 from hpcomp import MismatchError, OutputError, SettingError
-from hpcomp.blending.rules import stack_rules
 from hpcomp.color.encoding import Losses
 from hpcomp.color.samples import encode
 from hpcomp.engine import choice as engine
 from hpcomp.geometry import Window
 from hpcomp.measures import labels as measures
+from hpcomp.options import stack_rules
 from hpcomp.report import measures as report_of_measures
 from hpcomp.report import recorder as evidence
 from hpcomp.report.hueformats import REPORT_FORMATS
@@ -578,7 +578,7 @@ def test_failing_report_leaves_nothing(here, monkeypatch, name):
         raise OutputError("it fails")
 
     if name == "pictures":
-        monkeypatch.setattr(evidence.Evidence, "preview", fail)
+        monkeypatch.setattr(evidence._PreviewSums, "result", fail)
     else:
         monkeypatch.setattr(evidence, "render_stack_report", fail)
     with pytest.raises(OutputError, match="it fails"):

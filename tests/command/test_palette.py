@@ -6,7 +6,6 @@ import json
 import math
 import re
 import xml.etree.ElementTree as ElementTree
-from inspect import signature
 
 import colour
 import numpy as np
@@ -21,13 +20,12 @@ from strategies import color_of, valid_colors
 
 import hpcomp
 from hpcomp.analysis.palette import FINDING_KINDS, MOST_LABELS, PROFILE_STEPS
-from hpcomp.blending.rules import stack_rules
 from hpcomp.cli import cli
-from hpcomp.cli.stackoptions import STACK_OPTIONS
 from hpcomp.color.difference import contrast, difference, oklab
 from hpcomp.color.encoding import parse_hex_color
 from hpcomp.engine import choice as engine
 from hpcomp.errors import MismatchError, SettingError
+from hpcomp.options import ARRAY_RULES
 from hpcomp.report import palettedata
 from hpcomp.report.paletteformats import FIGURES, PALETTE_FORMATS, PaletteLook, load
 
@@ -405,8 +403,7 @@ def test_json_says_what_was_found():
 
 def test_every_rule_of_a_stack_is_in_the_data():
     rules = json.loads(render("json", hpcomp.palette(SET)))["rules"]
-    of_layers = {"n_layers", "op", "opacity", "background", "exposure"}
-    assert set(rules) == set(signature(stack_rules).parameters) - of_layers
+    assert set(rules) == set(ARRAY_RULES) - {"background", "exposure"}
 
 
 def test_text_says_what_was_found():
@@ -557,8 +554,7 @@ def test_options_reach_the_palette(desk):
 
 def test_every_rule_of_colours_is_an_option():
     command = cli.get_command(None, "palette")
-    of_layers = {"op", "opacity", "background", "exposure", "primaries"}
-    rules = set(signature(stack_rules).parameters) & set(STACK_OPTIONS) - of_layers
+    rules = set(ARRAY_RULES) - {"background", "exposure", "primaries"}
     assert rules >= {"blending", "order", "space", "hue_tolerance"}
     assert rules <= {parameter.name for parameter in command.params}
 

@@ -26,10 +26,8 @@ from hpcomp.cli import COMMANDS, cli
 from hpcomp.color.encoding import ALPHA_MODES, COLOR_INTEROP_IDS, COLOR_SPACES
 from hpcomp.color.spaces import SPACES
 from hpcomp.errors import EXIT_CODE_MEANINGS, ExitCode
-from hpcomp.geometry import GRAVITIES
-from hpcomp.imagefile.reading import NONFINITE_POLICIES
-from hpcomp.imagefile.writing import COMPRESSIONS, DEPTHS
-from hpcomp.layers.canvas import CANVASES
+from hpcomp.geometry import CANVASES, GRAVITIES
+from hpcomp.imagefile.forms import COMPRESSIONS, DEPTHS, NONFINITE_POLICIES
 from hpcomp.layers.layerspec import LAYER_KEYS
 
 ROOT = Path(__file__).parents[2]
@@ -852,7 +850,7 @@ def test_docstring_of_a_function_states_what_it_must(name):
 
 
 def test_docstring_of_composite_gives_every_rule_its_default():
-    from hpcomp.blending.rules import stack_rules
+    from hpcomp.options import stack_rules
 
     rules = inspect.signature(stack_rules).parameters
     documentation = words(inspect.getdoc(hpcomp.composite))

@@ -23,11 +23,11 @@ from conftest import composite_by
 
 import hpcomp
 from hpcomp import HpcompWarning, MismatchError, SettingError
-from hpcomp.blending.rules import stack_rules
 from hpcomp.color import encoding, spaces
 from hpcomp.color.encoding import PRIMARIES, Losses, Primaries, conversion, to_xyz
 from hpcomp.color.samples import Strip, encode
 from hpcomp.engine import choice as engine
+from hpcomp.options import stack_rules
 
 #: The xy of SMPTE and ITU documents, as the fixtures have them: name here, name there.
 NAMES = {"rec709": "rec709", "display-p3": "p3d65", "rec2020": "rec2020", "acescg": "ap1"}

@@ -22,7 +22,7 @@ from tolerances import FLOAT32, assert_near
 
 import hpcomp
 from hpcomp import HpcompWarning, InputError, LayerSpec, MismatchError, SettingError, Window
-from hpcomp.pipeline import stack as pipeline
+from hpcomp.pipeline import budget
 
 # A code value is exact, or its neighbour where float32 falls on the other side of a rounding point.
 CODES = 1
@@ -806,7 +806,7 @@ def test_same_bytes_whatever_the_strips_and_threads(tmp_path, tall, monkeypatch,
     made = set()
     options = {"order": order, "compression": "piz" if ending == "exr" else None}
     for rows, threads in itertools.product((1, 7, 61), (1, 2)):
-        monkeypatch.setattr(pipeline.Budget, "rows", lambda *given, rows=rows: rows)
+        monkeypatch.setattr(budget.Budget, "rows", lambda *given, rows=rows: rows)
         out = tmp_path / f"{rows}-{threads}.{ending}"
         hpcomp.stack(tall, out, threads=threads, **options)
         made.add(out.read_bytes())

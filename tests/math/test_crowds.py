@@ -11,11 +11,11 @@ from strategies import color_of, hue_direction
 from test_findings import assert_agree, strips_of
 from test_kernel import run_arrays
 
-from hpcomp.blending.rules import stack_rules
 from hpcomp.engine import choice as engine
 from hpcomp.engine import reference
 from hpcomp.kernel import _kernel
 from hpcomp.kernel import fused as kernel
+from hpcomp.options import stack_rules
 from hpcomp.system.threads import Workers
 
 #: Terms up to which the kernel has a table of all pairs of a pixel, and of several side by side.
@@ -205,7 +205,7 @@ class Missing:
 missing = Missing()
 sys.meta_path.insert(0, missing)
 from hpcomp import engine
-from hpcomp.blending.rules import stack_rules
+from hpcomp.options import stack_rules
 with ThreadPoolExecutor(8) as pool:
     made = list(pool.map(lambda _: engine.start(stack_rules(1), 3, 2), range(64)))
 print({type(accumulator).__module__ for accumulator in made}, missing.looked_for)

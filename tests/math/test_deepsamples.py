@@ -12,12 +12,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from strategies import BLENDING_NAMES, ORDER_NAMES, valid_color
 
-from hpcomp.blending.rules import stack_rules
+from hpcomp.blending import deepsamples
+from hpcomp.blending.deepsamples import DeepSamples
 from hpcomp.color.encoding import REC709, Losses
 from hpcomp.engine import choice as engine
-from hpcomp.engine import deepsamples
 from hpcomp.engine.deepcompositing import flat
-from hpcomp.engine.deepsamples import DeepSamples
+from hpcomp.options import stack_rules
 
 #: Of a few additions of float32, and what the shoulder of ⊕ makes of their rounding.
 ROUNDING = 2e-5

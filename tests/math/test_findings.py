@@ -26,7 +26,6 @@ from test_kernel import (
     unaligned,
 )
 
-from hpcomp.blending.rules import stack_rules
 from hpcomp.color import encoding
 from hpcomp.color.encoding import ColorEncoding
 from hpcomp.color.samples import Decoding, Strip
@@ -38,6 +37,7 @@ from hpcomp.measures import findings
 from hpcomp.measures import labels as measures
 from hpcomp.measures.findings import MeasuredStrip
 from hpcomp.measures.histogram import HueHistogram, hue_histogram
+from hpcomp.options import stack_rules
 
 ENGINES = {"kernel": measuring, "reference": findings}
 

@@ -28,7 +28,6 @@ from strategies import (
 
 import hpcomp
 from hpcomp.blending import addition
-from hpcomp.blending.rules import stack_rules
 from hpcomp.color.encoding import (
     COLOR_SPACES,
     LARGEST_HALF,
@@ -52,8 +51,8 @@ from hpcomp.engine import reference
 from hpcomp.errors import HpcompError, SettingError
 from hpcomp.kernel import _kernel
 from hpcomp.kernel import fused as kernel
-from hpcomp.pipeline import budget
-from hpcomp.pipeline import stack as pipeline
+from hpcomp.options import stack_rules
+from hpcomp.pipeline import budget, strips
 
 ORDERS = (*ORDER_NAMES, "2,0,3,1")
 
@@ -979,7 +978,7 @@ class TestStackBytes:
             *((7, 2, 8, level) for level in kernel.levels()),
         ]:
             monkeypatch.setattr(budget, "STRIP_ROWS", rows)
-            for module in (budget, pipeline):
+            for module in (budget, strips):
                 monkeypatch.setattr(module, "LAYERS_AT_ONCE", at_once)
             monkeypatch.setenv(kernel.LEVEL_VARIABLE, level)
             caplog.clear()

@@ -11,10 +11,10 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 import hpcomp
-from hpcomp.blending.rules import stack_rules
 from hpcomp.errors import MismatchError, SettingError
 from hpcomp.measures import labels as measures
 from hpcomp.measures.histogram import LARGEST_ADDEND, SUM_UNIT
+from hpcomp.options import stack_rules
 from hpcomp.report import measures as report
 
 ORDERS = ("bottom-up", "top-down", "balanced", "simultaneous")
@@ -563,7 +563,7 @@ def test_settings_are_checked(settings, message):
 
 @pytest.mark.parametrize("shapes", [((2, 4), (3, 4)), ((2, 3), (2, 3)), ((), ())])
 def test_layers_need_one_shape(shapes):
-    with pytest.raises(MismatchError, match="RGBA on the last axis"):
+    with pytest.raises(MismatchError, match="RGBA needs 4 components on the last axis|place all layers on one canvas"):
         hpcomp.stack_measures([np.zeros(shape) for shape in shapes])
 
 

@@ -1,0 +1,488 @@
+"""Every option of a stack once: its default, its check, and the sentence that help texts show.
+
+The command line parses into a `StackOptions`, a job file is read into one, and `stack`, `flatten`,
+`check` and `explain` make one of their keywords. What an option does lives elsewhere, in the module
+whose table or check stands beside it here. Settings of one layer are those of a `LayerSpec`.
+"""
+
+from __future__ import annotations
+
+import inspect
+import os
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
+from typing import Any, TypeVar, get_args, get_type_hints
+
+import numpy as np
+
+from .blending.addition import (
+    BLENDINGS,
+    DEFAULT_HUE_TOLERANCE,
+    check_gray_bias,
+    check_hue_tolerance,
+)
+from .blending.orders import ORDERS
+from .blending.porter_duff import OPERATOR_NAMES
+from .blending.rules import StackRules, check_exposure, checked_rules
+from .color.encoding import (
+    BOTTOM,
+    OUT_PRIMARIES,
+    REC709,
+    WORKING_PRIMARIES,
+    converted,
+    parse_hex_color,
+    working_primaries,
+)
+from .color.spaces import BUILDERS, DEFAULT_SPACE
+from .errors import SettingError, nearest, unknown_name
+from .geometry import Window, parse_canvas, parse_window
+from .imagefile.forms import COMPRESSIONS, DEPTHS, FORMATS, NONFINITE_POLICIES
+from .measures.histogram import DEFAULT_ACHROMATIC, DEFAULT_BINS
+from .system.memory import parse_bytes
+from .system.threads import check_threads
+
+Path = str | os.PathLike[str]
+F = TypeVar("F", bound=Callable[..., Any])
+
+
+@dataclass(frozen=True)
+class Option:
+    """What is said of an option beside its name, its type and its default.
+
+    `help`: what it does. `takes`: the type of a value, where what is kept of it has another.
+    `metavar`: what help calls its value. `choices`: the names that it takes, where it takes no
+    other value, and `noun`: what errors call these. `check`: gives the value to keep, and raises
+    `SettingError` for a wrong one; without it `choices` decide. `least`: the smallest whole number.
+    `is_path`: whether its values are names of files.
+    """
+
+    help: str
+    takes: Any = None
+    metavar: str = ""
+    choices: tuple[str, ...] = ()
+    noun: str = ""
+    check: Callable[[Any], Any] | None = None
+    least: int | None = None
+    is_path: bool = False
+
+    def checked(self, value: Any) -> Any:
+        """The value to keep; None where nothing is asked. Errors: `SettingError`."""
+        if value is None:
+            return None
+        if self.check is not None:
+            return self.check(value)
+        if self.choices and value not in self.choices:
+            raise unknown_name(self.noun, value, self.choices)
+        return value
+
+
+def _option(default: Any, help: str, **more: Any) -> Any:
+    return field(default=default, metadata={"option": Option(help, **more)})
+
+
+class _Group:
+    """Options that belong together; each is checked when they are made."""
+
+    def __post_init__(self) -> None:
+        for item in fields(self):  # type: ignore[arg-type]  # every subclass is a dataclass
+            kept = item.metadata["option"].checked(getattr(self, item.name))
+            object.__setattr__(self, item.name, kept)
+
+
+def _checked_background(color: str | Sequence[float]) -> str | Sequence[float]:
+    if isinstance(color, str):
+        parse_hex_color(color)
+    elif len(color) != 3 or not np.isfinite(color).all():
+        raise SettingError(f"background {color} is not three finite components, linear RGB")
+    return color
+
+
+def _checked_region(region: str | Window) -> Window:
+    return parse_window(region) if isinstance(region, str) else region
+
+
+def _checked_memory(memory: str | int) -> str | int:
+    parse_bytes(memory)
+    return memory
+
+
+def _paths(given: Path | Sequence[Path]) -> tuple[str, ...]:
+    several = [given] if isinstance(given, (str, os.PathLike)) else given
+    return tuple(os.fspath(path) for path in several)
+
+
+def _names(given: str | Sequence[str]) -> tuple[str, ...]:
+    return (given,) if isinstance(given, str) else tuple(given)
+
+
+@dataclass(frozen=True)
+class RuleOptions(_Group):
+    """What decides the colour of a pixel, and what is refused."""
+
+    op: str = _option(
+        "over",
+        "Operator of the layers that name none.",
+        metavar="OPERATOR",
+        choices=OPERATOR_NAMES,
+        noun="operator",
+    )
+    blending: str = _option(
+        "hue-preserving",
+        "How colours are added: the stronger one keeps its hue, hues mix as usual, or the one in "
+        "front keeps its hue.",
+        choices=tuple(BLENDINGS),
+        noun="blending",
+    )
+    order: str | Sequence[int] = _option(
+        "bottom-up",
+        f"In which order the layers' colours are added: {', '.join(ORDERS)}, or a permutation such "
+        "as 2,0,1.",
+        metavar="ORDER",
+    )
+    space: str = _option(
+        DEFAULT_SPACE, "Blending space.", choices=tuple(BUILDERS), noun="blending space"
+    )
+    primaries: str = _option(
+        REC709.name,
+        "Blend in these primaries, to which files in others are converted; bottom: in those of the "
+        "bottom layer. They decide luminance and hue, and an EXR is written in them.",
+        choices=(*WORKING_PRIMARIES, BOTTOM),
+        noun="primaries",
+    )
+    hue_tolerance: float = _option(
+        DEFAULT_HUE_TOLERANCE,
+        "Hues closer than this, 0 to 90, are equal; 0 is the paper's operator.",
+        metavar="DEGREES",
+        check=check_hue_tolerance,
+    )
+    gray_bias: float = _option(
+        0.0,
+        "How much less different hues cancel each other to grey; 0 is the paper's operator.",
+        metavar="0…1",
+        check=check_gray_bias,
+    )
+    exposure: float = _option(
+        0.0, "Brighten or darken the result.", metavar="STOPS", check=check_exposure
+    )
+    background: str | Sequence[float] | None = _option(
+        None, "Put a CSS hex colour under the result.", metavar="COLOR", check=_checked_background
+    )
+    nonfinite: str = _option(
+        "error",
+        "NaN and Inf in a layer: error (refuse it), zero (the pixel becomes transparent), keep.",
+        choices=NONFINITE_POLICIES,
+        noun="nonfinite policy",
+    )
+    strict: bool = _option(False, "Treat warnings as errors.")
+
+    def of_layers(self, operators: Sequence[str | None], opacities: Sequence[float]) -> StackRules:
+        """The rules of a stack of layers with these operators, None first, and opacities.
+
+        With the primaries `bottom` they are in Rec. 709, until those of the bottom layer are known.
+        Errors: `SettingError`, also for an order that is not one of so many layers.
+        """
+        name = REC709.name if self.primaries == BOTTOM else self.primaries
+        background = self.background
+        if isinstance(background, str):
+            color = np.array(parse_hex_color(background))
+            background = converted(color, REC709, working_primaries(name)).tolist()
+        return checked_rules(
+            operators,
+            opacities,
+            blending=self.blending,
+            order=self.order,
+            space=self.space,
+            hue_tolerance=self.hue_tolerance,
+            gray_bias=self.gray_bias,
+            background=background,
+            exposure=self.exposure,
+            primaries=name,
+        )
+
+
+@dataclass(frozen=True)
+class CanvasOptions(_Group):
+    """Which pixels there are."""
+
+    canvas: str | Window = _option(
+        "bottom",
+        "bottom (the bottom layer's display window), union, intersection, or WxH+X+Y.",
+        metavar="CANVAS",
+        check=parse_canvas,
+    )
+    region: Window | None = _option(
+        None,
+        "Make only this part of the canvas.",
+        takes=str | Window | None,
+        metavar="WxH+X+Y",
+        check=_checked_region,
+    )
+    overscan: bool = _option(False, "EXR: keep pixels beyond the canvas.")
+
+
+@dataclass(frozen=True)
+class OutputOptions(_Group):
+    """In which form the picture is written, and what is written beside it for make."""
+
+    format: str | None = _option(
+        None, "Format of an output without an ending.", choices=FORMATS, noun="format"
+    )
+    depth: str | None = _option(
+        None,
+        "PNG: 8 (default), 16. EXR: half (default), float.",
+        takes=str | int | None,
+        choices=(*DEPTHS["png"], *DEPTHS["exr"]),
+        check=str,
+    )
+    compression: str | None = _option(
+        None,
+        "PNG: fast (default), small, 0…9. EXR: zip (default), "
+        f"{', '.join(COMPRESSIONS['exr'][1:])}.",
+        takes=str | int | None,
+        metavar="NAME",
+        check=str,
+    )
+    out_primaries: str | None = _option(
+        None,
+        "PNG: write it in these primaries instead of rec709, on the curve of sRGB. An EXR is "
+        "written in those of --primaries.",
+        choices=OUT_PRIMARIES,
+        noun="out primaries",
+    )
+    clobber: bool = _option(True, "Replace an existing output.")
+    depfile: str | None = _option(
+        None,
+        "Write a rule for make or ninja: what is made, and the files that were read.",
+        takes=Path | None,
+        metavar="PATH",
+        is_path=True,
+        check=os.fspath,
+    )
+    depfile_target: tuple[str, ...] = _option(
+        (),
+        "Name this in the depfile as what is made; may be repeated.",
+        takes=str | Sequence[str],
+        metavar="NAME",
+        check=_names,
+    )
+    write_if_changed: bool = _option(
+        False, "Leave outputs that have the new bytes already as they are, with their times."
+    )
+
+
+@dataclass(frozen=True)
+class ReportOptions(_Group):
+    """What is said about the picture in files beside it."""
+
+    report: tuple[str, ...] = _option(
+        (),
+        "Write what blending did to the hues, beside traditional blending: a path ending in .txt, "
+        ".json, .csv, .svg, .png, .pdf or .html; can be given several times.",
+        takes=Path | Sequence[Path],
+        metavar="PATH",
+        is_path=True,
+        check=_paths,
+    )
+    provenance: str | None = _option(
+        None,
+        "Write an EXR of each pixel's surviving layer: layer (its number plus 1, 0 for none), grey "
+        "(the share of chroma that is cancelled), margin (over the strongest rival).",
+        takes=Path | None,
+        metavar="PATH",
+        is_path=True,
+        check=os.fspath,
+    )
+    foreign_tolerance: float | None = _option(
+        None,
+        "Reports: a hue farther than this from every layer's is foreign; twice the hue tolerance "
+        "if not given, more in oklab and cielab.",
+        metavar="DEGREES",
+    )
+    achromatic: float | None = _option(
+        None,
+        f"Reports: colours of less saturation are grey; {DEFAULT_ACHROMATIC:g} if not given.",
+        metavar="0…1",
+    )
+    bins: int | None = _option(
+        None, f"Reports: bins of the histograms; {DEFAULT_BINS} if not given.", metavar="N"
+    )
+    energy_weights: str | Sequence[float] | None = _option(
+        None,
+        "Reports: shares of red, green and blue in the power of a display; 0.3,0.25,0.45, an "
+        "estimate, if not given.",
+        metavar="R,G,B",
+    )
+
+    @property
+    def is_asked(self) -> bool:
+        """Whether anything is to be written beside the picture."""
+        return bool(self.report) or self.provenance is not None
+
+    def check_unasked(self) -> None:
+        """`SettingError` where an option is given that changes nothing, as nothing is asked."""
+        for name in ("foreign_tolerance", "achromatic", "energy_weights", "bins"):
+            value = getattr(self, name)
+            if value is not None:
+                raise SettingError(
+                    f"{name.replace('_', ' ')} {value} changes reports alone: name one with "
+                    "--report"
+                )
+
+
+@dataclass(frozen=True)
+class ResourceOptions(_Group):
+    """What the work may take."""
+
+    threads: int | None = _option(
+        None,
+        "Threads to use: all cores if not given.",
+        metavar="N",
+        least=1,
+        check=check_threads,
+    )
+    max_memory: str | int = _option(
+        "1G", "Memory for pixels and codecs, such as 512M.", metavar="SIZE", check=_checked_memory
+    )
+
+
+@dataclass(frozen=True)
+class StackOptions:
+    """All options of a stack, checked one by one, in the groups that they belong to."""
+
+    rules: RuleOptions = RuleOptions()
+    canvas: CanvasOptions = CanvasOptions()
+    output: OutputOptions = OutputOptions()
+    reports: ReportOptions = ReportOptions()
+    resources: ResourceOptions = ResourceOptions()
+
+    @staticmethod
+    def of(
+        given: Mapping[str, Any],
+        base: StackOptions | None = None,
+        names: Iterable[str] | None = None,
+    ) -> StackOptions:
+        """From options by name; the others are those of `base`, or have their defaults.
+
+        `names`: those that may be given, all if None. Errors: `SettingError` for a value,
+        `TypeError` for another name.
+        """
+        valid = OPTIONS if names is None else tuple(names)
+        groups: dict[str, dict[str, Any]] = {}
+        for name, value in given.items():
+            if name not in valid:
+                raise TypeError(f"there is no option '{name}' here{nearest(name, valid)}")
+            groups.setdefault(OPTIONS[name].group, {})[name] = value
+        base = base or DEFAULTS
+        return replace(base, **{g: replace(getattr(base, g), **some) for g, some in groups.items()})
+
+    def __getitem__(self, name: str) -> Any:
+        """The value of the option of that name."""
+        return getattr(getattr(self, OPTIONS[name].group), name)
+
+
+#: The groups by their names in `StackOptions`.
+_GROUPS: dict[str, Callable[..., Any]] = {
+    "rules": RuleOptions,
+    "canvas": CanvasOptions,
+    "output": OutputOptions,
+    "reports": ReportOptions,
+    "resources": ResourceOptions,
+}
+
+
+@dataclass(frozen=True)
+class NamedOption:
+    """One row of `OPTIONS`: an option, its name and group, its default, what type it takes."""
+
+    name: str
+    group: str
+    default: Any
+    hint: Any
+    option: Option
+
+    @property
+    def kind(self) -> type | None:
+        """The type of a number; None of what is written as a text."""
+        kinds = {int, float} & {self.hint, *get_args(self.hint)}
+        return None if {self.hint, *get_args(self.hint)} & {str, Window} else kinds.pop()
+
+
+def _named_options() -> dict[str, NamedOption]:
+    return {
+        item.name: NamedOption(
+            item.name,
+            name,
+            item.default,
+            item.metadata["option"].takes or hints[item.name],
+            item.metadata["option"],
+        )
+        for name, group in _GROUPS.items()
+        for hints in [get_type_hints(group)]
+        for item in fields(group)  # type: ignore[arg-type]
+    }
+
+
+#: Every option by its name, in the order of the groups.
+OPTIONS = _named_options()
+
+#: What is used where nothing is asked.
+DEFAULTS = StackOptions()
+
+
+def takes_options(*names: str) -> Callable[[F], F]:
+    """For a function whose last parameter is `**options`: shows those of these names instead."""
+
+    def decorate(function: F) -> F:
+        own = [
+            parameter
+            for parameter in inspect.signature(function).parameters.values()
+            if parameter.kind is not inspect.Parameter.VAR_KEYWORD
+        ]
+        rows = [OPTIONS[name] for name in names]
+        shown = [
+            inspect.Parameter(
+                row.name, inspect.Parameter.KEYWORD_ONLY, default=row.default, annotation=row.hint
+            )
+            for row in rows
+        ]
+        function.__signature__ = inspect.Signature([*own, *shown])  # type: ignore[attr-defined]
+        return function
+
+    return decorate
+
+
+#: The options that decide how arrays are composited: all rules but those about files.
+ARRAY_RULES = (
+    "blending",
+    "order",
+    "space",
+    "hue_tolerance",
+    "gray_bias",
+    "background",
+    "exposure",
+    "primaries",
+)
+
+
+def stack_rules(
+    n_layers: int,
+    *,
+    op: str | Sequence[str | None] = RuleOptions.op,
+    opacity: float | Sequence[float] = 1.0,
+    **rules: Any,
+) -> StackRules:
+    """The rules of a stack of `n_layers`, looked up and checked; the arguments of `composite`.
+
+    `op`: of the layers above the bottom, or one for each layer, None first. `opacity`: of all
+    layers, or one for each. `rules`: of `ARRAY_RULES`. Errors: `SettingError`.
+    """
+    working_primaries(rules.get("primaries", RuleOptions.primaries))  # `bottom` is of files
+    if n_layers < 1:
+        raise SettingError("a stack needs at least one layer")
+    ops = [None, *[op] * (n_layers - 1)] if isinstance(op, str) else list(op)
+    opacities = np.full(n_layers, opacity) if np.ndim(opacity) == 0 else np.asarray(opacity)
+    for what, given in (("operators", len(ops)), ("opacities", len(opacities))):
+        if given != n_layers:
+            raise SettingError(f"{given} {what} for {n_layers} layers: give one for each")
+    options = StackOptions.of(rules, names=ARRAY_RULES)
+    return options.rules.of_layers(ops, opacities.tolist())

@@ -1,0 +1,127 @@
+"""What `stack` and `flatten` share of one picture: what is asked, what is planned and made."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from ..blending.rules import StackRules
+from ..color.encoding import Losses
+from ..errors import SettingError
+from ..geometry import Window
+from ..imagefile.parts import Part
+from ..imagefile.writing import ImageWriter, OutputForm, format_of_output, open_writer
+from ..layers.layerspec import LayerSpec
+from ..layers.notices import Notices
+from ..options import StackOptions
+from ..system.depfile import Depfile
+from ..system.outputs import STDOUT, check_places, whole_output
+
+if TYPE_CHECKING:  # only reports need them
+    from ..measures.findings import StackFindings
+
+
+@dataclass(frozen=True)
+class StackResult:
+    """What `stack` or `flatten` wrote: the file, its windows, what it cannot hold, findings."""
+
+    output: str
+    canvas: Window
+    data_window: Window
+    losses: Losses
+    findings: StackFindings | None = None
+
+
+@dataclass(frozen=True)
+class PictureRequest:
+    """What is asked of one picture, checked as far as no file has to be touched.
+
+    `specs`: of the layers, or of the deep images. `output`: a path, or `-`.
+    """
+
+    specs: Sequence[LayerSpec]
+    output: str
+    options: StackOptions
+    rules: StackRules
+    form: OutputForm
+    depfile: Depfile | None
+
+    @staticmethod
+    def checked(
+        specs: Sequence[LayerSpec], output: str, options: StackOptions, rules: StackRules
+    ) -> PictureRequest:
+        """Errors: `SettingError` for options that do not go together."""
+        asked = options.output
+        form = OutputForm.checked(
+            format_of_output(output, asked.format),
+            asked.depth,
+            asked.compression,
+            asked.out_primaries,
+        )
+        if options.canvas.overscan and form.format == "png":
+            raise SettingError("a PNG ends at its canvas: --overscan needs an EXR output")
+        depfile = Depfile.asked(asked.depfile, asked.depfile_target, [output])
+        return PictureRequest(specs, output, options, rules, form, depfile)
+
+    @property
+    def shown(self) -> str:
+        """What messages call the output."""
+        return "stdout" if self.output == STDOUT else self.output
+
+    def check_places(self, beside: Sequence[str] = ()) -> None:
+        """`SettingError` where two outputs are one file; `beside`: those that others write."""
+        depfiles = [self.depfile.path] if self.depfile else []
+        check_places([self.output, *beside, *depfiles])
+
+    def placed(self, opened: contextlib.ExitStack) -> str:
+        """Where the picture is written first; it appears when `opened` closes in peace."""
+        asked = self.options.output
+        return opened.enter_context(
+            whole_output(self.output, clobber=asked.clobber, if_changed=asked.write_if_changed)
+        )
+
+    def place_depfile(self, opened: contextlib.ExitStack) -> None:
+        """The same for the depfile. Errors: `SettingError` where it would replace an input."""
+        if self.depfile is not None:
+            read = [spec.path for spec in self.specs]
+            changed = self.options.output.write_if_changed
+            opened.enter_context(self.depfile.written(read, changed))
+
+
+@dataclass(frozen=True)
+class PicturePlan:
+    """What will be done: inputs are open and placed, and memory is shared out.
+
+    `target`: where the picture is written first. `rules`: in the working primaries. `window`: the
+    pixels that are made, on `canvas`. `bottom`: the part whose shape of pixels is carried over.
+    """
+
+    request: PictureRequest
+    target: str
+    rules: StackRules
+    canvas: Window
+    window: Window
+    threads: int
+    bottom: Part
+    notices: Notices
+
+    @contextlib.contextmanager
+    def writer(self) -> Iterator[ImageWriter]:
+        """Writes the picture, which is complete when the block ends in peace."""
+        writer = open_writer(
+            self.target,
+            self.request.form,
+            self.window,
+            self.canvas,
+            primaries=self.rules.primaries,
+            pixel_aspect=self.bottom.pixel_aspect,
+            pixels_per_metre=self.bottom.pixels_per_metre,
+            label=self.request.shown,
+        )
+        try:
+            yield writer
+            writer.finish()
+        finally:
+            writer.abandon()
