@@ -978,7 +978,7 @@ class TestStackBytes:
             *((7, 2, 8, level) for level in kernel.levels()),
         ]:
             monkeypatch.setattr(budget, "STRIP_ROWS", rows)
-            for module in (budget, strips):
+            for module in (budget, strip_pass):
                 monkeypatch.setattr(module, "LAYERS_AT_ONCE", at_once)
             monkeypatch.setenv(kernel.LEVEL_VARIABLE, level)
             caplog.clear()

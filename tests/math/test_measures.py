@@ -563,7 +563,7 @@ def test_settings_are_checked(settings, message):
 
 @pytest.mark.parametrize("shapes", [((2, 4), (3, 4)), ((2, 3), (2, 3)), ((), ())])
 def test_layers_need_one_shape(shapes):
-    with pytest.raises(MismatchError, match="RGBA needs 4 components on the last axis|place all layers on one canvas"):
+    with pytest.raises(MismatchError, match=r"RGBA needs 4 components on the last axis|place all layers on one canvas"):
         hpcomp.stack_measures([np.zeros(shape) for shape in shapes])
 
 
