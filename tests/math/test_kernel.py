@@ -52,7 +52,8 @@ from hpcomp.errors import HpcompError, SettingError
 from hpcomp.kernel import _kernel
 from hpcomp.kernel import fused as kernel
 from hpcomp.options import stack_rules
-from hpcomp.pipeline import budget, strips
+from hpcomp.pipeline import budget
+from hpcomp.pipeline import strips as strip_pass
 
 ORDERS = (*ORDER_NAMES, "2,0,3,1")
 
