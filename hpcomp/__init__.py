@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from .analysis.palette import palette as palette
     from .blending.orders import ORDERS as ORDERS
     from .blending.porter_duff import OPERATORS as OPERATORS
-    from .color.encoding import Losses as Losses
+    from .color.quantization import Losses as Losses
     from .color.spaces import SPACES as SPACES
     from .engine.arrays import composite as composite
     from .engine.arrays import hue_add as hue_add
@@ -87,7 +87,7 @@ _HOME = {
     "check": ".analysis.check",
     "composite": ".engine.arrays",
     "hue_add": ".engine.arrays",
-    "Losses": ".color.encoding",
+    "Losses": ".color.quantization",
     "ExitCode": ".errors",
     "HpcompError": ".errors",
     "HpcompWarning": ".errors",

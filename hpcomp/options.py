@@ -24,13 +24,13 @@ from .blending.addition import (
 from .blending.orders import ORDERS
 from .blending.porter_duff import OPERATOR_NAMES
 from .blending.rules import StackRules, check_exposure, checked_rules
-from .color.encoding import (
+from .color.css import parse_hex_color
+from .color.primaries import (
     BOTTOM,
     OUT_PRIMARIES,
     REC709,
     WORKING_PRIMARIES,
     converted,
-    parse_hex_color,
     working_primaries,
 )
 from .color.spaces import BUILDERS, DEFAULT_SPACE

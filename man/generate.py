@@ -25,7 +25,7 @@ import click
 import hpcomp
 from hpcomp.blending.porter_duff import OPERATORS, Operator
 from hpcomp.cli import cli
-from hpcomp.color.encoding import COLOR_INTEROP_IDS, COLOR_SPACES
+from hpcomp.color.encodings import COLOR_INTEROP_IDS, COLOR_SPACES
 from hpcomp.errors import EXIT_CODE_MEANINGS
 from hpcomp.report import huedata, palettedata, stackdata
 

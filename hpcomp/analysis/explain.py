@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ..blending.addition import BLENDINGS, chroma, rivalry, shoulder
 from ..blending.rules import StackRules
 from ..blending.terms import weighted
-from ..color.encoding import Losses
+from ..color.quantization import Losses
 from ..color.samples import OUTPUT_TYPES, Rgba, Strip, cropped, linear_rgba, spread
 from ..engine import choice as engine
 from ..errors import MismatchError, SettingError

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from ..blending.addition import chroma, shoulder
 from ..blending.rules import StackRules
+from ..color.css import parse_hex_color
 from ..color.difference import contrast, difference
-from ..color.encoding import parse_hex_color
 from ..engine.arrays import composite
 from ..errors import MismatchError, SettingError
 from ..layers.layerspec import LayerSpec

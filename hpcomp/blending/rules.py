@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..color import spaces
-from ..color.encoding import REC709, Primaries, converted, to_xyz, working_primaries
+from ..color.primaries import REC709, Primaries, converted, to_xyz, working_primaries
 from ..errors import MismatchError, SettingError
 from . import addition, orders, porter_duff
 

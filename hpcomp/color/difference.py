@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .spaces import REC709_TO_XYZ
+from .primaries import REC709_TO_XYZ
 from .uniformspaces import ROOTS_TO_LAB, XYZ_TO_LMS
 
 Floats = NDArray[np.floating[Any]]

@@ -8,19 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .encoding import (
-    LINEAR,
-    LINEAR_REC709,
-    REC709,
-    ColorEncoding,
-    Losses,
-    Primaries,
-    converted,
-    decode_table,
-    to_half_range,
-    to_straight_srgb,
-    to_xyz,
-)
+from .encodings import LINEAR_REC709, ColorEncoding
+from .primaries import REC709, Primaries, converted, to_xyz
+from .quantization import Losses, to_half_range, to_straight_srgb
+from .transfer import LINEAR, decode_table
 
 Rgba = NDArray[np.float32]
 Samples = NDArray[Any]
@@ -39,7 +30,7 @@ class Decoding:
     """What stored samples mean: curve and primaries, and how alpha relates to colour.
 
     `working`: the primaries that they are wanted in.
-    `alpha_mode` is one of `encoding.ALPHA_MODES`; `stored_straight` says whether `luminance` finds
+    `alpha_mode` is one of `encodings.ALPHA_MODES`; `stored_straight` says whether `luminance` finds
     straight colours in the file; `zero_nonfinite` makes pixels with NaN or Inf transparent.
     `tint`: straight linear Rec. 709 colour of a mask, Y or YA, whose stored values are its alpha.
     """

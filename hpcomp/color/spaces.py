@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from ..errors import unknown_name
 from .hueaxis import HEXAGON, HueAxis, angle_axis
+from .primaries import D65, REC709_TO_XYZ, Matrix
 from .uniformspaces import (
     CielabCoefficients,
     OklabCoefficients,
@@ -29,31 +30,6 @@ from .uniformspaces import (
 )
 
 Array = NDArray[np.floating[Any]]
-#: Three rows of three numbers, hashable.
-Matrix = tuple[tuple[float, ...], ...]
-
-#: Luminance of the linear Rec. 709 primaries: the Y row of RGB→XYZ for the chromaticities of
-#: ITU-R BT.709 with D65 at (0.3127, 0.3290), here to 16 digits.
-REC709_WEIGHTS: tuple[float, float, float] = (
-    0.21263900587151036,
-    0.7151686787677559,
-    0.07219231536073371,
-)
-
-#: Rec. ITU-R BT.709-6, item 1.3: (x, y) of the primaries red, green and blue, and of white, D65.
-REC709_CHROMATICITIES: tuple[tuple[float, float], ...] = ((0.64, 0.33), (0.3, 0.6), (0.15, 0.06))
-D65: tuple[float, float] = (0.3127, 0.3290)
-
-
-#: XYZ of each primary by columns, white being D65 at Y = 1: RGB→XYZ of Rec. 709.
-REC709_TO_XYZ: Matrix = (
-    tuple(w * (x / y) for w, (x, y) in zip(REC709_WEIGHTS, REC709_CHROMATICITIES, strict=True)),
-    REC709_WEIGHTS,
-    tuple(
-        w * ((1 - x - y) / y)
-        for w, (x, y) in zip(REC709_WEIGHTS, REC709_CHROMATICITIES, strict=True)
-    ),
-)
 
 
 @dataclass(frozen=True)

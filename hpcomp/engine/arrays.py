@@ -10,7 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..blending import addition
 from ..color import gamut, spaces
-from ..color.encoding import Losses, to_xyz, working_primaries
+from ..color.primaries import to_xyz, working_primaries
+from ..color.quantization import Losses
 from ..color.samples import Strip
 from ..errors import MismatchError
 from ..measures.labels import BLOCK_PIXELS, StackMeasures, measure_settings, measured

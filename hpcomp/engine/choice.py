@@ -21,7 +21,8 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 
 from ..blending.rules import StackRules
-from ..color.encoding import REC709, Losses, Primaries
+from ..color.primaries import REC709, Primaries
+from ..color.quantization import Losses
 from ..color.samples import Samples, Strip
 from ..errors import SettingError, unknown_name
 from . import reference

@@ -14,7 +14,8 @@ from ..blending.deepsamples import DeepSamples, Floats, Ints
 from ..blending.orders import ORDERS
 from ..blending.porter_duff import operator
 from ..blending.rules import Reduction, StackRules
-from ..color.encoding import REC709, Losses, Primaries
+from ..color.primaries import REC709, Primaries
+from ..color.quantization import Losses
 from ..color.samples import OUTPUT_TYPES, Samples, Strip
 from . import choice as engine
 

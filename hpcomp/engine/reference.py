@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 from ..blending.orders import ORDERS
 from ..blending.rules import Reduction, StackRules
 from ..blending.terms import term, weighted
-from ..color.encoding import REC709, Losses, Primaries
 from ..color.gamut import bounds_of, colors_within
+from ..color.primaries import REC709, Primaries
+from ..color.quantization import Losses
 from ..color.samples import Samples, Strip, cropped, encode, linear_rgba, spread
 
 Array = NDArray[np.floating[Any]]

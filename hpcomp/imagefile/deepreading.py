@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..blending.deepsamples import DeepSamples
-from ..color.encoding import Primaries, color_space
+from ..color.encodings import color_space
+from ..color.primaries import Primaries
 from ..color.samples import Decoding, decode
 from ..errors import InputError, MismatchError, unknown_name
 from ..geometry import Window
@@ -72,8 +73,8 @@ def open_deep(
 class DeepReader:
     """A deep image of a file, read by rows in any order, by any number of threads at a time.
 
-    `alpha` is one of `encoding.ALPHA_MODES` or None for premultiplied; `colorspace` a name of
-    `encoding.COLOR_SPACES` or None for what the file says; `nonfinite` a policy on NaN and Inf:
+    `alpha` is one of `encodings.ALPHA_MODES` or None for premultiplied; `colorspace` a name of
+    `encodings.COLOR_SPACES` or None for what the file says; `nonfinite` a policy on NaN and Inf:
     `error`, `zero` (such a sample is left out), `keep`. `label` names it in errors.
     Errors: `SettingError`, `InputError`, also for an image without depth or alpha.
     """

@@ -6,13 +6,9 @@ import os
 from collections.abc import Iterator
 from typing import Any
 
-from ..color.encoding import (
-    COLOR_INTEROP_IDS,
-    LINEAR,
-    LINEAR_REC709,
-    ColorEncoding,
-    primaries_from_xy,
-)
+from ..color.encodings import COLOR_INTEROP_IDS, LINEAR_REC709, ColorEncoding
+from ..color.primaries import primaries_from_xy
+from ..color.transfer import LINEAR
 from ..errors import InputError, why
 from ..geometry import Window
 from . import exrscanlines, pngheader, pngscanlines

@@ -15,7 +15,8 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from ..color.encoding import REC709, Primaries, interop_id
+from ..color.encodings import interop_id
+from ..color.primaries import REC709, Primaries
 from ..color.samples import Samples
 from ..errors import InputError
 from ..geometry import Window

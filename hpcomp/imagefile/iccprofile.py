@@ -14,22 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..color.encoding import (
-    D65,
-    HDR_TRANSFERS,
-    LINEAR,
-    REC709,
-    SRGB,
-    ColorEncoding,
-    Primaries,
-    Transfer,
-    adaptation,
-    gamma,
-    mirrored,
-    of_channels,
-    primaries_from_xy,
-    to_xyz,
-)
+from ..color.encodings import ColorEncoding
+from ..color.primaries import D65, REC709, Primaries, adaptation, primaries_from_xy, to_xyz
+from ..color.transfer import HDR_TRANSFERS, LINEAR, SRGB, Transfer, gamma, mirrored, of_channels
 
 Array = NDArray[np.floating[Any]]
 

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from ..color.encoding import interop_id
+from ..color.encodings import interop_id
 from ..color.samples import Samples
 from ..errors import InputError, OutputError
 from ..system.signals import held

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from ..color.encoding import HDR_TRANSFERS, ColorEncoding
+from ..color.encodings import ColorEncoding
+from ..color.transfer import HDR_TRANSFERS
 from ..errors import InputError
 from ..geometry import Window
 from .exrscanlines import ExrLayout

@@ -14,19 +14,16 @@ from typing import BinaryIO
 
 import numpy as np
 
-from ..color.encoding import (
+from ..color.encodings import SRGB_ENCODING, ColorEncoding
+from ..color.primaries import PRIMARIES, Primaries, primaries_from_xy
+from ..color.transfer import (
     HDR_TRANSFERS,
     LINEAR,
-    PRIMARIES,
     REC709_CAMERA,
     SRGB,
-    SRGB_ENCODING,
-    ColorEncoding,
-    Primaries,
     Transfer,
     gamma,
     narrow_range,
-    primaries_from_xy,
 )
 from ..errors import InputError
 from . import iccprofile

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..color.encoding import REC709, Primaries
+from ..color.primaries import REC709, Primaries
 from ..color.samples import Samples
 from ..system.sourcedate import source_date
 from . import iccprofile

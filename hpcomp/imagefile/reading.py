@@ -6,7 +6,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..color.encoding import Primaries, color_space, parse_hex_color
+from ..color.css import parse_hex_color
+from ..color.encodings import color_space
+from ..color.primaries import Primaries
 from ..color.samples import Decoding, Rgba, Samples, Strip, linear_rgba
 from ..errors import InputError, MismatchError, unknown_name
 from ..geometry import Window
@@ -21,8 +23,8 @@ STRIP_ROWS = 64
 class LayerReader:
     """One layer of a file, read in strips of rows.
 
-    `alpha` is one of `encoding.ALPHA_MODES` or None for the format's own; `colorspace` a name of
-    `encoding.COLOR_SPACES` or None for what the file says; `tint` a CSS hex colour for a mask, or
+    `alpha` is one of `encodings.ALPHA_MODES` or None for the format's own; `colorspace` a name of
+    `encodings.COLOR_SPACES` or None for what the file says; `tint` a CSS hex colour for a mask, or
     None; `nonfinite` a policy on NaN and Inf:
     `error`, `zero` (such a pixel becomes transparent black), `keep`. `label` names it in errors.
     Errors: `SettingError`, `InputError` for colours that cannot be read.

@@ -6,7 +6,7 @@ import os
 from dataclasses import dataclass
 from typing import Any, Protocol
 
-from ..color.encoding import OUT_PRIMARIES, PRIMARIES, REC709, Primaries
+from ..color.primaries import OUT_PRIMARIES, PRIMARIES, REC709, Primaries
 from ..color.samples import Samples
 from ..errors import SettingError, unknown_name
 from ..geometry import Window

@@ -19,10 +19,12 @@ from ..blending.addition import ROUNDING_ANGLE
 from ..blending.orders import ORDERS
 from ..blending.porter_duff import Factor
 from ..blending.rules import Reduction, StackRules
-from ..color.encoding import REC709, SRGB, Losses, Primaries, conversion, decode_table, to_xyz
 from ..color.gamut import bounds_of
+from ..color.primaries import REC709, Primaries, conversion, to_xyz
+from ..color.quantization import Losses
 from ..color.samples import OUTPUT_TYPES, PLAIN, Decoding, Samples, Strip, cropped, linear_rgba
 from ..color.spaces import Coefficients, HslCoefficients, PlaneCoefficients
+from ..color.transfer import SRGB, decode_table
 from ..color.uniformspaces import CielabCoefficients, OklabCoefficients, Pairs
 from ..errors import unknown_name
 from . import _kernel  # type: ignore[attr-defined]

@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..blending.rules import StackRules
-from ..color.encoding import Losses, Primaries
+from ..color.primaries import Primaries
+from ..color.quantization import Losses
 from ..color.samples import Samples
 from ..measures.findings import MeasuredStrip, StackFindings
 from ..measures.histogram import HueHistogram

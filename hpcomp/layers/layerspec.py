@@ -8,7 +8,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from ..blending.porter_duff import operator
-from ..color.encoding import ALPHA_MODES, color_space, parse_hex_color
+from ..color.css import parse_hex_color
+from ..color.encodings import ALPHA_MODES, color_space
 from ..errors import SettingError, unknown_name
 from ..geometry import Placement, parse_placement
 
@@ -19,7 +20,7 @@ class LayerSpec:
 
     `path`: a file, or `-` for stdin. `op`: an operator's name. `opacity`: 0 to 1.
     `at`: `+X+Y`, or a gravity with an optional offset: where the display window goes.
-    `alpha`: one of `encoding.ALPHA_MODES`. `colorspace`: a name of `encoding.COLOR_SPACES`.
+    `alpha`: one of `encodings.ALPHA_MODES`. `colorspace`: a name of `encodings.COLOR_SPACES`.
     `tint`: a CSS hex colour for a grey or single-channel mask, whose stored values are the alpha.
     `part`: name or index in a multi-part EXR. `layer`: the prefix of layered channel names, of a
     mask also the name of a channel. `name`: what reports and errors call it.

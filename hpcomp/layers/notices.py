@@ -6,7 +6,7 @@ import warnings
 from collections.abc import Sequence
 
 from ..blending.rules import StackRules
-from ..color.encoding import LARGEST_HALF, Losses
+from ..color.quantization import LARGEST_HALF, Losses
 from ..errors import HpcompWarning, InputError, InputWarning, MismatchError, one_line
 from ..imagefile.deepreading import DeepReader
 from ..imagefile.reading import LayerReader

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..blending.rules import StackRules
-from ..color.encoding import BOTTOM
+from ..color.primaries import BOTTOM
 from ..color.samples import Strip
 from ..errors import SettingError
 from ..geometry import Window

@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..blending.rules import StackRules
-from ..color.encoding import Losses, Primaries
+from ..color.primaries import Primaries
+from ..color.quantization import Losses
 from ..color.samples import Samples, Strip, cropped, linear_rgba, spread
 from .histogram import DEFAULT_BINS, HueHistogram, hue_histogram
 from .labels import (

@@ -22,7 +22,8 @@ from ..blending import deepsamples
 from ..blending.deepsamples import DeepSamples
 from ..blending.orders import ORDERS
 from ..blending.rules import StackRules
-from ..color.encoding import BOTTOM, Losses
+from ..color.primaries import BOTTOM
+from ..color.quantization import Losses
 from ..color.samples import Samples
 from ..engine import choice as engine
 from ..engine.deepcompositing import bytes_to_reduce, flat

@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from ..color.encoding import Losses, working_primaries
+from ..color.primaries import working_primaries
+from ..color.quantization import Losses
 from ..color.samples import encode
 from ..errors import MismatchError
 from ..geometry import Window

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, Protocol
 
 from ..blending.rules import StackRules
-from ..color.encoding import Losses
+from ..color.quantization import Losses
 from ..color.samples import Samples, Strip
 from ..engine.choice import Accumulator
 from ..geometry import Window

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from ..blending.rules import StackRules
-from ..color.encoding import Losses
+from ..color.quantization import Losses
 from ..errors import SettingError
 from ..geometry import Window
 from ..imagefile.parts import Part

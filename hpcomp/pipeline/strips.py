@@ -10,7 +10,7 @@ from threading import Lock
 from typing import Any
 
 from ..blending.rules import Reduction
-from ..color.encoding import Losses
+from ..color.quantization import Losses
 from ..color.samples import Strip
 from ..engine import choice as engine
 from ..geometry import Window

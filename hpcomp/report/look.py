@@ -8,8 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..color.encoding import encode_srgb, into_gamut
+from ..color.gamut import into_gamut
 from ..color.hueaxis import HueAxis
+from ..color.transfer import encode_srgb
 from ..errors import MismatchError, unknown_name
 from ..measures.histogram import WEIGHTS, Floats, HueHistogram
 

@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..analysis.palette import Floats, Label, Pair, Palette, Profile
-from ..color.encoding import encode_srgb, into_gamut
+from ..color.gamut import into_gamut
+from ..color.transfer import encode_srgb
 from ..errors import SettingError, printable
 from .drawing import INK, SMALL, TITLE, Circle, PolyCollection, Sheet, saved
 from .look import hue_colors, srgb_hex

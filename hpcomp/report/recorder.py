@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 
 from ..blending.addition import BLENDINGS
 from ..blending.rules import StackRules
-from ..color.encoding import REC709, Losses, Primaries
+from ..color.primaries import REC709, Primaries
+from ..color.quantization import Losses
 from ..color.samples import Rgba, Samples, Strip, encode
 from ..engine import choice as engine
 from ..errors import OutputError, SettingError, why

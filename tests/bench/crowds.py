@@ -15,7 +15,7 @@ from collections.abc import Callable
 import numpy as np
 
 from hpcomp.blending.rules import StackRules
-from hpcomp.color.encoding import Losses
+from hpcomp.color.quantization import Losses
 from hpcomp.color.samples import Strip
 from hpcomp.kernel import fused as kernel
 from hpcomp.options import stack_rules

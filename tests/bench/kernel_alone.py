@@ -17,7 +17,7 @@ from typing import Any
 from drawing import layer
 
 from hpcomp.blending.rules import StackRules
-from hpcomp.color.encoding import Losses
+from hpcomp.color.quantization import Losses
 from hpcomp.color.samples import Strip
 from hpcomp.color.spaces import SPACES
 from hpcomp.kernel import fused as kernel

@@ -17,9 +17,10 @@ from strategies import color_of
 
 import hpcomp
 from hpcomp.analysis import check as checking
-from hpcomp.color.encoding import SRGB, SRGB_ENCODING
+from hpcomp.color.encodings import SRGB_ENCODING
 from hpcomp.color.samples import PLAIN, Decoding
 from hpcomp.color.spaces import SPACES
+from hpcomp.color.transfer import SRGB
 from hpcomp.errors import MismatchError, SettingError
 from hpcomp.report import check as report
 

@@ -25,7 +25,7 @@ from test_findings import ENGINES, TIES
 
 import hpcomp
 from hpcomp import MismatchError, OutputError, SettingError
-from hpcomp.color.encoding import Losses
+from hpcomp.color.quantization import Losses
 from hpcomp.color.samples import encode
 from hpcomp.engine import choice as engine
 from hpcomp.geometry import Window
@@ -178,7 +178,7 @@ def test_json_is_what_arrays_measure(here, monkeypatch, name, out):
     expected = hpcomp.stack_measures(
         arrays(here),
         opacity=OPACITIES,
-        background=hpcomp.color.encoding.parse_hex_color("#203040"),
+        background=hpcomp.color.css.parse_hex_color("#203040"),
         half_step=measures.half_step("uint8" if out == "out.png" else "float"),
     )
     assert document["engine"] == name

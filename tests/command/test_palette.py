@@ -21,8 +21,8 @@ from strategies import color_of, valid_colors
 import hpcomp
 from hpcomp.analysis.palette import FINDING_KINDS, MOST_LABELS, PROFILE_STEPS
 from hpcomp.cli import cli
+from hpcomp.color.css import parse_hex_color
 from hpcomp.color.difference import contrast, difference, oklab
-from hpcomp.color.encoding import parse_hex_color
 from hpcomp.engine import choice as engine
 from hpcomp.errors import MismatchError, SettingError
 from hpcomp.options import ARRAY_RULES

@@ -23,7 +23,7 @@ from hpcomp.blending.addition import BLENDINGS
 from hpcomp.blending.orders import ORDERS
 from hpcomp.blending.porter_duff import OPERATOR_NAMES, OPERATORS
 from hpcomp.cli import COMMANDS, cli
-from hpcomp.color.encoding import ALPHA_MODES, COLOR_INTEROP_IDS, COLOR_SPACES
+from hpcomp.color.encodings import ALPHA_MODES, COLOR_INTEROP_IDS, COLOR_SPACES
 from hpcomp.color.spaces import SPACES
 from hpcomp.errors import EXIT_CODE_MEANINGS, ExitCode
 from hpcomp.geometry import CANVASES, GRAVITIES

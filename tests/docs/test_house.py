@@ -39,7 +39,7 @@ IMPORTERS = {
     "OpenEXR": {"imagefile.exrheader"},
     "OpenImageIO": {"imagefile.openimageio"},
     "click": {"cli"},
-    "colour": {"color.encoding"},
+    "colour": {"color.primaries"},
     "distributed": {"jobs.cluster"},
     "isal": {"imagefile.deflate"},
     "matplotlib": {"report.drawing"},

@@ -23,8 +23,16 @@ from conftest import composite_by
 
 import hpcomp
 from hpcomp import HpcompWarning, MismatchError, SettingError
-from hpcomp.color import encoding, spaces
-from hpcomp.color.encoding import PRIMARIES, Losses, Primaries, conversion, to_xyz
+from hpcomp.color import spaces
+from hpcomp.color.primaries import (
+    PRIMARIES,
+    REC709_WEIGHTS,
+    WORKING_PRIMARIES,
+    Primaries,
+    conversion,
+    to_xyz,
+)
+from hpcomp.color.quantization import Losses
 from hpcomp.color.samples import Strip, encode
 from hpcomp.engine import choice as engine
 from hpcomp.options import stack_rules
@@ -389,7 +397,7 @@ def test_outside_it_luminance_and_hue_stay():
     codes = encode(green, "uint16", losses, PRIMARIES["rec2020"], PRIMARIES["rec709"])[0, 0, :3]
     assert losses.out_of_gamut == 1
     light = np.linalg.inv(literal("rec709", "rec2020")) @ [0, 1, 0]
-    weights = np.array(spaces.REC709_WEIGHTS)
+    weights = np.array(REC709_WEIGHTS)
     found = pngfile.srgb_to_linear(codes / 65535)
     assert abs(found @ weights - light @ weights) < 1e-4
     d1, d2 = found - found @ weights, light - light @ weights
@@ -469,7 +477,7 @@ def test_the_command(tmp_path, mixed):
     assert "primaries rec2020" in text
     run = desk.run("stack", *names, "-o", "out.exr", "--primaries", "p3")
     assert run.code == 2
-    for name in (*encoding.WORKING_PRIMARIES, "bottom"):
+    for name in (*WORKING_PRIMARIES, "bottom"):
         assert name in run.stderr
 
 

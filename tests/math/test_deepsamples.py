@@ -14,7 +14,8 @@ from strategies import BLENDING_NAMES, ORDER_NAMES, valid_color
 
 from hpcomp.blending import deepsamples
 from hpcomp.blending.deepsamples import DeepSamples
-from hpcomp.color.encoding import REC709, Losses
+from hpcomp.color.primaries import REC709
+from hpcomp.color.quantization import Losses
 from hpcomp.engine import choice as engine
 from hpcomp.engine.deepcompositing import flat
 from hpcomp.options import stack_rules

@@ -26,8 +26,9 @@ from test_kernel import (
     unaligned,
 )
 
-from hpcomp.color import encoding
-from hpcomp.color.encoding import ColorEncoding
+from hpcomp.color.encodings import ColorEncoding
+from hpcomp.color.primaries import REC709
+from hpcomp.color.quantization import Losses
 from hpcomp.color.samples import Decoding, Strip
 from hpcomp.engine import choice as engine
 from hpcomp.errors import SettingError
@@ -348,10 +349,10 @@ def test_findings_beside_a_result_change_neither(name, order, monkeypatch):
         accumulator.add(list(rules.arrival), arriving)
         return accumulator
 
-    alone, lost = encoding.Losses(), encoding.Losses()
+    alone, lost = Losses(), Losses()
     with np.errstate(all="ignore"):
         samples = accumulated().result("uint8", alone)
-        beside, *found = engine.result_and_findings(accumulated(), "uint8", lost, encoding.REC709, strip)
+        beside, *found = engine.result_and_findings(accumulated(), "uint8", lost, REC709, strip)
         expected, planes = engine.findings(strip)
     assert beside.tobytes() == samples.tobytes()
     assert (lost, found[0]) == (alone, expected)

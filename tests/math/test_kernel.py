@@ -28,24 +28,13 @@ from strategies import (
 
 import hpcomp
 from hpcomp.blending import addition
-from hpcomp.color.encoding import (
-    COLOR_SPACES,
-    LARGEST_HALF,
-    LINEAR,
-    LINEAR_REC709,
-    PRIMARIES,
-    REC709,
-    REC709_CAMERA,
-    SRGB,
-    SRGB_ENCODING,
-    ColorEncoding,
-    Losses,
-    gamma,
-    into_gamut,
-    to_straight_srgb,
-)
+from hpcomp.color.encodings import COLOR_SPACES, LINEAR_REC709, SRGB_ENCODING, ColorEncoding
+from hpcomp.color.gamut import into_gamut
+from hpcomp.color.primaries import PRIMARIES, REC709
+from hpcomp.color.quantization import LARGEST_HALF, Losses, to_straight_srgb
 from hpcomp.color.samples import OUTPUT_TYPES, PLAIN, Decoding, Strip, linear_rgba
 from hpcomp.color.spaces import SPACES
+from hpcomp.color.transfer import LINEAR, REC709_CAMERA, SRGB, gamma
 from hpcomp.engine import choice as engine
 from hpcomp.engine import reference
 from hpcomp.errors import HpcompError, SettingError
@@ -642,7 +631,7 @@ def greys(values):
 
 
 def assert_codes(codes, rgba):
-    """`codes` are those of `encoding.to_straight_srgb`, or their neighbours at a tie."""
+    """`codes` are those of `quantization.to_straight_srgb`, or their neighbours at a tie."""
     largest = np.iinfo(codes.dtype).max
     with np.errstate(all="ignore"):
         expected = to_straight_srgb(rgba, codes.dtype.type, Losses())

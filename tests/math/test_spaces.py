@@ -13,14 +13,8 @@ from tolerances import ANGLE_DEG, FLOAT64, HARD_SWITCH, HAS_HUE, ROUNDING, asser
 from hpcomp.blending.addition import add_hue_preserving
 from hpcomp.color.gamut import bounds_of, colors_within
 from hpcomp.color.hueaxis import HEXAGON
-from hpcomp.color.spaces import (
-    D65,
-    REC709_CHROMATICITIES,
-    REC709_TO_XYZ,
-    REC709_WEIGHTS,
-    SPACES,
-    space,
-)
+from hpcomp.color.primaries import D65, REC709, REC709_TO_XYZ, REC709_WEIGHTS
+from hpcomp.color.spaces import SPACES, space
 from hpcomp.engine.arrays import hue_add
 from hpcomp.errors import SettingError
 
@@ -185,7 +179,7 @@ class TestAddition:
         assert (jumps / moved).max() <= STEEPEST[name]
 
 
-def rgb_to_xyz(colour, chromaticities=REC709_CHROMATICITIES):
+def rgb_to_xyz(colour, chromaticities=REC709.rgb):
     """(3, 3) by colour-science, for primaries with the white D65."""
     return colour.RGB_Colourspace("", chromaticities, D65).matrix_RGB_to_XYZ
 
@@ -288,7 +282,7 @@ WIDE = {
     "display-p3": ((0.680, 0.320), (0.265, 0.690), (0.150, 0.060)),
     "rec2020": ((0.708, 0.292), (0.170, 0.797), (0.131, 0.046)),
 }
-PRIMARIES = {"rec709": REC709_CHROMATICITIES, **WIDE}
+PRIMARIES = {"rec709": REC709.rgb, **WIDE}
 
 
 @pytest.mark.parametrize("primaries", PRIMARIES)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 import hpcomp
-from hpcomp.color.encoding import Losses, to_straight_srgb
+from hpcomp.color.quantization import Losses, to_straight_srgb
 from hpcomp.measures.findings import findings_of
 from hpcomp.measures.labels import ENERGY_WEIGHTS, measure_settings
 from hpcomp.options import stack_rules
