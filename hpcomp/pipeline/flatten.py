@@ -39,7 +39,7 @@ from ..layers.notices import Notices, warn_of_losses, warn_of_problems
 from ..layers.placing import Layer, layer_specs
 from ..options import OPTIONS, ResourceOptions, StackOptions, takes_options
 from ..system.memory import parse_bytes
-from ..system.threads import Workers, thread_count
+from ..system.threads import ThreadPipeline, thread_count
 from .deepbudget import Need
 from .picture import PicturePlan, PictureRequest, StackResult
 
@@ -209,18 +209,18 @@ def _made(plan: FlatteningPlan) -> StackResult:
         engine.active().NAME,
     )
     work = _Work(plan.images, rules, request.form)
-    with plan.writer() as writer, Workers[Samples](plan.threads) as workers:
+    with plan.writer() as writer, ThreadPipeline[Samples](plan.threads) as pipeline:
         # Each strip is a source of its own: they are read and flattened side by side.
-        made = workers.read_ahead(
-            (number, partial(work.strip, rows, workers.go_on))
+        made = pipeline.read_ahead(
+            (number, partial(work.strip, rows, pipeline.go_on))
             for number, rows in enumerate(plan.strips)
         )
         for rows, samples in zip(plan.strips, made, strict=True):
             prepare = partial(writer.prepare, rows.y - window.y, samples)
-            workers.write_behind(prepare, writer.write)
+            pipeline.write_behind(prepare, writer.write)
             del samples, prepare
-        workers.flush()
-    for what, seconds in {**work.seconds, "writing": workers.seconds["writing"]}.items():
+        pipeline.flush()
+    for what, seconds in {**work.seconds, "writing": pipeline.seconds["writing"]}.items():
         log.info("%s: %.3f s of all threads together", what, seconds)
     for image, left_out in zip(plan.images, work.left_out, strict=True):
         if left_out:

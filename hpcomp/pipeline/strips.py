@@ -16,7 +16,7 @@ from ..engine import choice as engine
 from ..geometry import Window
 from ..imagefile.writing import ImageWriter
 from ..layers.placing import PlacedLayer
-from ..system.threads import Workers
+from ..system.threads import ThreadPipeline
 from .budget import LAYERS_AT_ONCE
 from .observer import Observer
 from .picture import PicturePlan
@@ -56,21 +56,21 @@ def composite_strips(plan: StackPlan, writer: ImageWriter, observer: Observer) -
         for number in rules.arrival
     )
     finishing = _Finishing(plan, writer, observer)
-    with Workers[Strip](plan.threads) as workers:
-        arriving = workers.read_ahead(reads)
+    with ThreadPipeline[Strip](plan.threads) as pipeline:
+        arriving = pipeline.read_ahead(reads)
         for rows in plan.strips():
             accumulator = engine.start(rules, rows.width, rows.height)
             for group in groups:
                 arrived = [next(arriving) for _ in group]
-                workers.composite(partial(accumulator.add, group, arrived))
+                pipeline.composite(partial(accumulator.add, group, arrived))
                 if not observer.sees_layers:
                     arrived = []  # not to be held while the next ones arrive
             strips_up = arrived if groups[0][0] == 0 else arrived[::-1]
             prepare = partial(finishing.prepare, accumulator, strips_up, rows)
-            workers.write_behind(prepare, finishing.write)
+            pipeline.write_behind(prepare, finishing.write)
             del accumulator, arrived, strips_up, prepare
-        workers.flush()
-    for what, seconds in workers.seconds.items():
+        pipeline.flush()
+    for what, seconds in pipeline.seconds.items():
         log.info("%s: %.3f s of all threads together", what, seconds)
     return finishing.losses
 

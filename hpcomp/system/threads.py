@@ -48,8 +48,8 @@ def writes_behind(threads: int) -> int:
     return 2 if threads > 1 else 1
 
 
-class Workers(Generic[T]):
-    """`threads` threads that do all the work; with one, it is done in the caller's."""
+class ThreadPipeline(Generic[T]):
+    """`threads` threads that read, composite and write; with one, all is done in the caller's."""
 
     def __init__(self, threads: int) -> None:
         self.threads = threads
@@ -62,7 +62,7 @@ class Workers(Generic[T]):
         self._given_up = Event()
         self._lock = Lock()
 
-    def __enter__(self) -> Workers[T]:
+    def __enter__(self) -> ThreadPipeline[T]:
         return self
 
     def __exit__(self, failure: object, *where: object) -> None:

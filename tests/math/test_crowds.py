@@ -16,7 +16,7 @@ from hpcomp.engine import reference
 from hpcomp.kernel import _kernel
 from hpcomp.kernel import fused as kernel
 from hpcomp.options import stack_rules
-from hpcomp.system.threads import Workers
+from hpcomp.system.threads import ThreadPipeline
 
 #: Terms up to which the kernel has a table of all pairs of a pixel, and of several side by side.
 PAIRED, TABLED = 32, 64
@@ -227,14 +227,14 @@ def test_work_that_nobody_waits_for_ends():
     def endless():
         begun.set()
         while True:
-            workers.go_on()
+            pipeline.go_on()
 
     def fail_meanwhile():
-        with workers:
-            next(workers.read_ahead([(0, lambda: 1), *((n, endless) for n in range(1, 9))]))
+        with pipeline:
+            next(pipeline.read_ahead([(0, lambda: 1), *((n, endless) for n in range(1, 9))]))
             assert begun.wait(PATIENCE_S)
             raise KeyError
 
-    workers = Workers(2)
+    pipeline = ThreadPipeline(2)
     with pytest.raises(KeyError):
         fail_meanwhile()
