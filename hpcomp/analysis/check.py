@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..blending.rules import StackRules
+from ..color.planes import is_saturated, length, spread_and_size
 from ..color.samples import Decoding, Rgba, Samples, Strip, cropped, decode, linear_rgba, spread
 from ..color.spaces import Space
 from ..errors import MismatchError, SettingError
@@ -43,8 +44,6 @@ from ..measures.labels import (
     contributors,
     count,
     in_units,
-    is_saturated,
-    length,
     measure_settings,
     share,
     summed,
@@ -418,7 +417,7 @@ def quantization(samples: Samples, decoding: Decoding, space: Space) -> Array:
             moved = stored.copy()
             moved[:, :colors] += half * corner
             away = p_of(moved)[0] - center
-            reach = np.maximum(reach, farthest + length(away[0], away[1]))
+            reach = np.maximum(reach, farthest + length(away))
     return reach
 
 
@@ -490,8 +489,10 @@ class _Gauge:
     def _picture(self, samples: Samples, rgba: Rgba, settings: MeasureSettings) -> _Picture:
         rgb = np.ascontiguousarray(rgba.T[:3])
         _, p = self.rules.space.forward(rgb)
-        size = length(p[0], p[1])
-        chromatic = (size > settings.half_step) & is_saturated(rgb, settings.achromatic)
+        size = length(p)
+        chromatic = (size > settings.half_step) & is_saturated(
+            *spread_and_size(rgb), settings.achromatic
+        )
         visible = np.asarray(rgba.any(axis=1))
         return _Picture(samples, rgba[:, 3], p, size, visible, chromatic)
 

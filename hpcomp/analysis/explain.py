@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from ..blending.addition import BLENDINGS, chroma, rivalry, shoulder
 from ..blending.rules import StackRules
 from ..blending.terms import weighted
+from ..color.planes import cross_and_dot
 from ..color.quantization import Losses
 from ..color.samples import OUTPUT_TYPES, Rgba, Strip, cropped, linear_rgba, spread
 from ..engine import choice as engine
@@ -303,10 +304,10 @@ def _hue(rules: StackRules, luminance: Array, p: Array) -> float | None:
 
 def _degrees_between(p1: Array, p2: Array) -> float | None:
     """The angle of two p (2, 1), in degrees; None where one has no hue."""
-    x1, y1, x2, y2 = (float(value) for value in (*p1[:, 0], *p2[:, 0]))
-    if not (x1 or y1) or not (x2 or y2):
+    if not (p1.any() and p2.any()):
         return None
-    return math.degrees(math.atan2(abs(x1 * y2 - y1 * x2), x1 * x2 + y1 * y2))
+    cross, dot = cross_and_dot(p1[:, 0].astype(np.float64), p2[:, 0].astype(np.float64))
+    return math.degrees(math.atan2(cross, dot))  # not numpy's, which rounds as the processor does
 
 
 # --- who met whom ---------------------------------------------------------------------------------

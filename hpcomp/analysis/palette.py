@@ -19,6 +19,7 @@ from ..blending.addition import chroma, shoulder
 from ..blending.rules import StackRules
 from ..color.css import parse_hex_color
 from ..color.difference import contrast, difference
+from ..color.planes import cross_and_dot, is_saturated, saturation, spread_and_size
 from ..engine.arrays import composite
 from ..errors import MismatchError, SettingError
 from ..layers.layerspec import LayerSpec
@@ -444,10 +445,8 @@ class _Work:
 
     def _hues(self, rgb: Floats) -> Floats:
         """Degrees (…) of rgb (…, 3), NaN where it is a grey by the settings."""
-        largest, smallest = rgb.max(axis=-1), rgb.min(axis=-1)
-        size = np.maximum(np.abs(largest), np.abs(smallest))
-        spread = largest - smallest
-        chromatic = (spread > 0) & (spread >= self.settings.achromatic * size)
+        spread, size = spread_and_size(np.moveaxis(rgb, -1, 0))
+        chromatic = (spread > 0) & is_saturated(spread, size, self.settings.achromatic)
         hues = np.full(rgb.shape[:-1], np.nan)
         hues[chromatic] = self.stack.space.hue_axis.degrees(rgb[chromatic].T)
         return hues
@@ -517,8 +516,7 @@ class _Work:
 
 def _angle(p1: Floats, p2: Floats) -> Floats:
     """Degrees (…) between p (2, …)."""
-    cross = p1[0] * p2[1] - p1[1] * p2[0]
-    return np.degrees(np.arctan2(np.abs(cross), p1[0] * p2[0] + p1[1] * p2[1]))
+    return np.degrees(np.arctan2(*cross_and_dot(p1, p2)))
 
 
 # --- findings -------------------------------------------------------------------------------------
@@ -535,9 +533,8 @@ def _findings(
     both = (TRADITIONAL, blending)
     for number, label in enumerate(labels):
         if label.hue is None:
-            largest = max(label.rgb)
-            saturation = (largest - min(label.rgb)) / largest if largest else 0.0
-            yield Finding("no-hue", (number,), both, saturation, settings.achromatic)
+            measured = float(saturation(np.array(label.rgb)))
+            yield Finding("no-hue", (number,), both, measured, settings.achromatic)
     for pair in pairs:
         if pair.back < pair.front and pair.angle is not None and pair.angle < settings.close_hues:
             close = (pair.back, pair.front)

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..color.planes import ratio
 from ..errors import SettingError, unknown_name
 
 Array = NDArray[np.floating[Any]]
@@ -51,14 +52,8 @@ def check_gray_bias(bias: float) -> float:
 
 
 def chroma(p: Array) -> Array:
-    """|p| (…) of p (2, …)."""
+    """|p| (…) of p (2, …), however long: nothing overflows on the way."""
     return np.hypot(p[0], p[1])
-
-
-def _ratio(numerator: Array, denominator: Array) -> Array:
-    """numerator / denominator, and 0 where the denominator is 0."""
-    ratio = np.zeros(np.broadcast_shapes(numerator.shape, denominator.shape), denominator.dtype)
-    return np.divide(numerator, denominator, out=ratio, where=denominator > 0)
 
 
 def shoulder(p1: Array, p2: Array, hue_tolerance: float) -> Array:
@@ -69,8 +64,8 @@ def shoulder(p1: Array, p2: Array, hue_tolerance: float) -> Array:
     """
     m1, m2 = chroma(p1), chroma(p2)
     # Unit vectors, so that neither tiny nor huge colours leave the range of the type.
-    x1, y1 = _ratio(p1, m1)
-    x2, y2 = _ratio(p2, m2)
+    x1, y1 = ratio(p1, m1)
+    x2, y2 = ratio(p2, m2)
     cosine = x1 * x2 + y1 * y2
     e = ((m1 == 0) | (m2 == 0)).astype(cosine.dtype)
     # Few pixels lie near the switch: only they need the angle itself.
@@ -100,9 +95,9 @@ def add_hue_preserving(p1: Array, p2: Array, hue_tolerance: float, gray_bias: fl
     m1, m2 = chroma(p1), chroma(p2)
     p_big = np.where(m1 >= m2, p1, p2)
     m_big, m_small = np.maximum(m1, m2), np.minimum(m1, m2)
-    kept = _ratio(m_big - m_small, m_big)
+    kept = ratio(m_big - m_small, m_big)
     if gray_bias:
-        kept = 1 - _biased(_ratio(m_small, m_big), gray_bias)
+        kept = 1 - _biased(ratio(m_small, m_big), gray_bias)
     p_differ = kept * p_big  # [R2][R3]
     p_equal = p1 + p2
     e = shoulder(p1, p2, hue_tolerance)
@@ -173,7 +168,7 @@ def rivalry(p: Array, hue_tolerance: float, gray_bias: float = 0.0) -> Array:
         support += (e[:, k] * m[k])[:, None] * (1 - e[:, k])[None, :]
         near += np.minimum(m, m[k])
     rival = np.minimum(support.swapaxes(0, 1), near[None, :])
-    q = _ratio(np.minimum(rival, support), support)  # min(1, q) of the text
+    q = ratio(np.minimum(rival, support), support)  # min(1, q) of the text
     return (1 - e) * _biased(q, gray_bias)
 
 

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from ..errors import unknown_name
 from .hueaxis import HEXAGON, HueAxis, angle_axis
+from .planes import ratio, spread_and_size
 from .primaries import D65, REC709_TO_XYZ, Matrix
 from .uniformspaces import (
     CielabCoefficients,
@@ -155,12 +156,12 @@ def hsl(rgb_to_xyz: Matrix = REC709_TO_XYZ) -> Space:
 
     def forward(rgb: Array) -> tuple[Array, Array]:
         luminance, p = plane.forward(rgb)
-        return luminance, p * _ratio(rgb.max(axis=0) - rgb.min(axis=0), np.hypot(p[0], p[1]))
+        return luminance, p * ratio(spread_and_size(rgb)[0], np.hypot(p[0], p[1]))
 
     def inverse(luminance: Array, p: Array) -> Array:
         difference = plane.inverse(np.zeros_like(luminance), p)
-        spread = difference.max(axis=0) - difference.min(axis=0)
-        return luminance + difference * _ratio(np.hypot(p[0], p[1]), spread)
+        spread, _ = spread_and_size(difference)
+        return luminance + difference * ratio(np.hypot(p[0], p[1]), spread)
 
     return Space("hsl", rgb_to_xyz, forward, inverse, HslCoefficients(found))
 
@@ -184,11 +185,6 @@ def cielab(rgb_to_xyz: Matrix = REC709_TO_XYZ) -> Space:
 def _weights(rgb_to_xyz: Matrix) -> tuple[float, float, float]:
     red, green, blue = rgb_to_xyz[1]
     return float(red), float(green), float(blue)
-
-
-def _ratio(numerator: Array, denominator: Array) -> Array:
-    """numerator / denominator, and 0 where the denominator is 0."""
-    return np.divide(numerator, denominator, out=np.zeros_like(denominator), where=denominator != 0)
 
 
 def _linear(name: str, rgb_to_xyz: Matrix, found: PlaneCoefficients) -> Space:

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .hueaxis import HEXAGON
+from .planes import length
 
 Array = NDArray[np.floating[Any]]
 #: Two coefficients of each of some sums: of the first and the last of three terms, less the middle.
@@ -124,10 +125,6 @@ def _luminance(rgb: Array, weights: tuple[float, float]) -> tuple[Array, Array, 
     return green + w_red * red_green + w_blue * blue_green, red_green, blue_green
 
 
-def _length(q: Array) -> Array:
-    return np.sqrt(q[0] * q[0] + q[1] * q[1])
-
-
 def _chromaticity(luminance: Array, p: Array, largest: float) -> Array:
     """q = p/Y, no longer than `largest`, and 0 where Y is not positive."""
     whole = np.maximum(luminance, np.hypot(p[0], p[1]) / largest)
@@ -146,7 +143,7 @@ def _bound(gamut: tuple[Array, Array], least_luminance: Callable[[Array], float]
     """
     luminance, p = gamut
     there = luminance > 0
-    reach = BEYOND_GAMUT * float((_length(p[:, there]) / luminance[there]).max())
+    reach = BEYOND_GAMUT * float((length(p[:, there]) / luminance[there]).max())
     angles = np.radians(_TURN)
     circle = np.stack([np.cos(angles), np.sin(angles)])
     if least_luminance(reach * circle) >= LEAST_LUMINANCE:
@@ -195,7 +192,7 @@ def oklab_forward(found: OklabCoefficients, rgb: Array) -> tuple[Array, Array]:
     (lightness,) = _sums(middle, long, short, found.to_lab[:1])
     p = np.stack(_sums(0, long, short, found.to_lab[1:]))
     # As L vanishes, q grows to its bound and stays there: the direction is (a, b) throughout.
-    whole = np.maximum(lightness, _length(p) / found.largest)
+    whole = np.maximum(lightness, length(p) / found.largest)
     there = (luminance > 0) & (whole > 0)
     p *= np.divide(luminance, whole, out=np.zeros_like(luminance), where=there)
     return luminance, p
@@ -244,7 +241,7 @@ def cielab_forward(found: CielabCoefficients, rgb: Array) -> tuple[Array, Array]
     x, z = (root(share) for share in _sums(rgb[1], red_green, blue_green, found.to_xz))
     # a/L = 500 (f(X) − f(Y)) / 100 and b/L = 200 (f(Y) − f(Z)) / 100, and f(Y) is 1.
     p = np.stack([5 * (x - 1), 2 * (1 - z)])
-    p *= np.where(there, luminance, 0) / np.maximum(1, _length(p) / found.largest)
+    p *= np.where(there, luminance, 0) / np.maximum(1, length(p) / found.largest)
     return luminance, p
 
 

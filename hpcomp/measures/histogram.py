@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..color import spaces
 from ..color.hueaxis import HueAxis
+from ..color.planes import is_saturated, length, spread_and_size
 from ..errors import MismatchError, SettingError, unknown_name
 
 Counts = NDArray[np.int64]
@@ -331,15 +332,11 @@ def _of_block(planes: NDArray[np.float32], space: spaces.Space, like: HueHistogr
     same bits.
     """
     rgb, alpha = planes[:3], np.clip(planes[3], 0, 1)
-    largest = np.maximum(np.maximum(rgb[0], rgb[1]), rgb[2])
-    smallest = np.minimum(np.minimum(rgb[0], rgb[1]), rgb[2])
-    difference = largest - smallest
+    spread, size = spread_and_size(rgb)
     # Components too far apart for a float have no hue that it could hold.
-    finite = np.isfinite(planes).all(axis=0) & np.isfinite(difference)
-    size = np.maximum(np.abs(largest), np.abs(smallest))
+    finite = np.isfinite(planes).all(axis=0) & np.isfinite(spread)
     transparent = finite & (alpha == 0) & (size == 0)
-    grey = (difference == 0) | (difference < np.float32(like.achromatic) * size)
-    chosen = np.flatnonzero(finite & ~grey)
+    chosen = np.flatnonzero(finite & (spread > 0) & is_saturated(spread, size, like.achromatic))
     _, p = space.forward(rgb[:, chosen])
     if not space.linear:
         # A colour without luminance has no hue where it is taken at Y = 1.
@@ -350,7 +347,7 @@ def _of_block(planes: NDArray[np.float32], space: spaces.Space, like: HueHistogr
     # Centred bins: half a bin is added before rounding down.
     place = space.hue_axis.sextants(rgb) * np.float32(like.bins / 6)
     index = np.floor(place + np.float32(0.5)).astype(np.intp) % like.bins
-    chroma = np.sqrt(p[0] * p[0] + p[1] * p[1])
+    chroma = length(p)
 
     def summed(values: NDArray[np.float32]) -> Counts:
         units = np.rint(_within_addends(values) * np.float32(1 / SUM_UNIT))

@@ -22,6 +22,7 @@ from ..blending.orders import ORDERS
 from ..blending.rules import StackRules
 from ..blending.terms import weighted
 from ..color.gamut import bounds_of, colors_within
+from ..color.planes import cross_and_dot, is_saturated, length, ratio, spread_and_size
 from ..errors import SettingError
 from .histogram import DEFAULT_ACHROMATIC, LARGEST_ADDEND, SUM_UNIT
 
@@ -347,13 +348,8 @@ def contributors(rules: StackRules, layers: Sequence[Array]) -> Contributors:
         limits = limits[:, known]
         if rgb is not None:
             rgb = rgb[:, :, known]
-    size = length(p[:, 0], p[:, 1])
+    size = length(p.swapaxes(0, 1))
     return Contributors(len(terms.p), luminance, p, size, known, alpha, rgb, limits)
-
-
-def length(x: Array, y: Array) -> Array:
-    """|p| of p = (x, y)."""
-    return np.sqrt(x * x + y * y)
 
 
 def summed(values: Array) -> Array:
@@ -378,8 +374,7 @@ class Angle:
 
     def holds(self, p1: Array, p2: Array) -> Mask:
         """Whether the hues of p1 and p2 (2, …) are no farther apart; true where one has none."""
-        dot = p1[0] * p2[0] + p1[1] * p2[1]
-        cross = np.abs(p1[0] * p2[1] - p1[1] * p2[0])
+        cross, dot = cross_and_dot(p1, p2)
         # sin(angle − tolerance) ≤ 0
         return cross * self.cosine <= dot * self.sine
 
@@ -401,7 +396,7 @@ class Support:
     @staticmethod
     def of(p: Array, pixels: Contributors, settings: MeasureSettings) -> Support:
         tolerance = Angle.of(settings.foreign_tolerance)
-        size = length(p[0], p[1])
+        size = length(p)
         near = np.array([tolerance.holds(p, term) for term in pixels.p])
         backing = summed(np.where(near, pixels.size, np.float32(0)))
         has_hue = (size > settings.half_step) & (backing > settings.half_step)
@@ -459,7 +454,9 @@ def _result_measures(
 ) -> tuple[ResultMeasures, Mask]:
     """The measures of the result p (2, pixels), and which pixels are chromatic."""
     rgb = rules.space.inverse(summed(pixels.luminance), p)
-    chromatic = (support.size > settings.half_step) & is_saturated(rgb, settings.achromatic)
+    chromatic = (support.size > settings.half_step) & is_saturated(
+        *spread_and_size(rgb), settings.achromatic
+    )
     foreign = chromatic & ~support.has_hue
     # Those of the surviving hue share what is left of it; what goes beyond them, as + makes it, is
     # the others'. So the losses of all add up to Σ|t| − |p|, and none is below 0.
@@ -510,21 +507,12 @@ def _provenance(settings: MeasureSettings, pixels: Contributors, support: Suppor
 
 def _part(numerator: Array, denominator: Array) -> Array:
     """numerator / denominator within [0, 1], and 0 where the denominator is 0."""
-    quotient = np.zeros_like(denominator)
-    np.divide(numerator, denominator, out=quotient, where=denominator > 0)
+    quotient = ratio(numerator, denominator)
     return np.clip(quotient, 0, 1, out=quotient)
 
 
 def count(mask: Mask) -> int:
     return int(np.count_nonzero(mask))
-
-
-def is_saturated(rgb: Array, achromatic: float) -> Mask:
-    """Whether the saturation, (max − min) / max(|max|, |min|), is `achromatic` or more."""
-    largest = np.maximum(np.maximum(rgb[0], rgb[1]), rgb[2])
-    smallest = np.minimum(np.minimum(rgb[0], rgb[1]), rgb[2])
-    size = np.maximum(np.abs(largest), np.abs(smallest))
-    return largest - smallest >= np.float32(achromatic) * size
 
 
 def in_units(values: Array) -> int:
