@@ -13,8 +13,8 @@ from functools import partial
 from threading import Event
 
 from ..color.samples import Strip, linear_rgba
-from ..errors import SettingError, unknown_name
-from ..imagefile.forms import NONFINITE_POLICIES
+from ..errors import SettingError
+from ..imagefile.interpretation import check_nonfinite
 from ..imagefile.reading import STRIP_ROWS, LayerReader
 from ..imagefile.seekable import STDIN
 from ..imagefile.source import codec_threads
@@ -94,8 +94,7 @@ def read_hues(
     Errors: `SettingError`, `InputError`, `MismatchError`. Warnings: `HpcompWarning`.
     """
     spec = measured_image(path)
-    if nonfinite not in NONFINITE_POLICIES:
-        raise unknown_name("nonfinite policy", nonfinite, NONFINITE_POLICIES)
+    check_nonfinite(nonfinite)
     n_threads = thread_count(threads)
     total = HueHistogram.empty(bins, space, achromatic)
     measure = partial(hue_histogram, bins=bins, space=space, achromatic=achromatic)

@@ -12,14 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..blending.deepsamples import DeepSamples
-from ..color.encodings import color_space
 from ..color.primaries import Primaries
-from ..color.samples import Decoding, decode
-from ..errors import InputError, MismatchError, unknown_name
+from ..color.samples import decode
+from ..errors import InputError, MismatchError
 from ..geometry import Window
 from .deepchunks import COMPRESSIONS, DeepChunks, DeepCounts, layout_of
 from .description import describe
-from .forms import NONFINITE_POLICIES
+from .interpretation import AS_STORED, Interpretation
 from .parts import ColorGroup, ImageFile, Part, choose, deep_alpha
 from .rawfile import RawFile
 from .seekable import temporary
@@ -37,10 +36,8 @@ def open_deep(
     *,
     part: str | None,
     layer: str | None,
+    interpretation: Interpretation = AS_STORED,
     label: str,
-    alpha: str | None = None,
-    colorspace: str | None = None,
-    nonfinite: str = "error",
 ) -> Iterator[DeepReader]:
     """The reader of that part and layer, as `choose` and `DeepReader` have it.
 
@@ -58,24 +55,14 @@ def open_deep(
             repack_deep(path, chosen, copy, "zips", label)
             file = describe(copy, label)
             chosen, group = choose(file, layer=layer, deep=True, label=label)
-        reader = DeepReader(
-            file,
-            chosen,
-            group,
-            alpha=alpha,
-            colorspace=colorspace,
-            nonfinite=nonfinite,
-            label=label,
-        )
+        reader = DeepReader(file, chosen, group, interpretation, label)
         yield opened.enter_context(contextlib.closing(reader))
 
 
 class DeepReader:
     """A deep image of a file, read by rows in any order, by any number of threads at a time.
 
-    `alpha` is one of `encodings.ALPHA_MODES` or None for premultiplied; `colorspace` a name of
-    `encodings.COLOR_SPACES` or None for what the file says; `nonfinite` a policy on NaN and Inf:
-    `error`, `zero` (such a sample is left out), `keep`. `label` names it in errors.
+    `label` names it in errors; the path of the file if not given.
     Errors: `SettingError`, `InputError`, also for an image without depth or alpha.
     """
 
@@ -84,24 +71,13 @@ class DeepReader:
         file: ImageFile,
         part: Part,
         group: ColorGroup,
-        *,
-        alpha: str | None = None,
-        colorspace: str | None = None,
-        nonfinite: str = "error",
+        interpretation: Interpretation = AS_STORED,
         label: str | None = None,
     ) -> None:
-        if nonfinite not in NONFINITE_POLICIES:
-            raise unknown_name("nonfinite policy", nonfinite, NONFINITE_POLICIES)
-        self.part, self.nonfinite = part, nonfinite
+        self.part, self.nonfinite = part, interpretation.nonfinite
         self.label = label or file.path
-        if part.refusal and not colorspace:
-            raise InputError(f"{self.label}: {part.refusal}")
-        self.problems = () if colorspace else part.problems
-        self.decoding = Decoding(
-            color_space(colorspace) if colorspace else part.encoding,
-            alpha or file.alpha_mode,
-            stored_straight=False,
-        )
+        self.problems = interpretation.problems_of(part, self.label)
+        self.decoding = interpretation.decoding_of(file, part)
         self._color, self._depth = _channel_names(part, group, self.label)
         raw = RawFile(file.path, file.identity, self.label)
         layout = layout_of(raw, part.index, self.label)

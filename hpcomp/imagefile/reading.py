@@ -6,13 +6,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..color.css import parse_hex_color
-from ..color.encodings import color_space
 from ..color.primaries import Primaries
-from ..color.samples import Decoding, Rgba, Samples, Strip, linear_rgba
-from ..errors import InputError, MismatchError, unknown_name
+from ..color.samples import Rgba, Samples, Strip, linear_rgba
+from ..errors import MismatchError
 from ..geometry import Window
-from .forms import NONFINITE_POLICIES
+from .interpretation import AS_STORED, Interpretation
 from .parts import ColorGroup, ImageFile, Part
 from .source import source_of
 
@@ -23,10 +21,7 @@ STRIP_ROWS = 64
 class LayerReader:
     """One layer of a file, read in strips of rows.
 
-    `alpha` is one of `encodings.ALPHA_MODES` or None for the format's own; `colorspace` a name of
-    `encodings.COLOR_SPACES` or None for what the file says; `tint` a CSS hex colour for a mask, or
-    None; `nonfinite` a policy on NaN and Inf:
-    `error`, `zero` (such a pixel becomes transparent black), `keep`. `label` names it in errors.
+    `label` names it in errors; the path of the file if not given.
     Errors: `SettingError`, `InputError` for colours that cannot be read.
     """
 
@@ -35,31 +30,15 @@ class LayerReader:
         file: ImageFile,
         part: Part,
         group: ColorGroup,
-        *,
-        alpha: str | None = None,
-        colorspace: str | None = None,
-        tint: str | None = None,
-        nonfinite: str = "error",
+        interpretation: Interpretation = AS_STORED,
         label: str | None = None,
     ) -> None:
-        if nonfinite not in NONFINITE_POLICIES:
-            raise unknown_name("nonfinite policy", nonfinite, NONFINITE_POLICIES)
         self.file, self.part, self.group = file, part, group
         self.label = label or file.path
-        # The values of a mask are no light, unless that is asked for.
-        believed = not colorspace and (tint is None or alpha == "luminance")
-        if part.refusal and believed:
-            raise InputError(f"{self.label}: {part.refusal}")
-        self.problems = part.problems if believed else ()
-        self.nonfinite = nonfinite
+        self.problems = interpretation.problems_of(part, self.label)
+        self.nonfinite = interpretation.nonfinite
         self.zeroed_pixels = 0
-        self.decoding = Decoding(
-            color_space(colorspace) if colorspace else part.encoding,
-            alpha or file.alpha_mode,
-            stored_straight=file.alpha_mode == "straight",
-            zero_nonfinite=nonfinite == "zero",
-            tint=None if tint is None else parse_hex_color(tint),
-        )
+        self.decoding = interpretation.decoding_of(file, part)
         channels = (*group.color, *([group.alpha] if group.alpha else []))
         self._source = source_of(file, part, channels, self.label)
 

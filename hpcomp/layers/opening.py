@@ -1,22 +1,28 @@
-"""From a LAYER to its open file: one door for every command that reads layers."""
+"""A layer as a LAYER names it, from its settings to a reader. Places nothing, warns of nothing."""
 
 from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterator
 
+from ..imagefile.deepreading import DeepReader, open_deep
 from ..imagefile.description import describe
+from ..imagefile.interpretation import Interpretation
 from ..imagefile.parts import choose
 from ..imagefile.reading import LayerReader
 from ..imagefile.seekable import seekable
 from .layerspec import LayerSpec
 
 
+def _interpretation(spec: LayerSpec, nonfinite: str) -> Interpretation:
+    return Interpretation(spec.alpha, spec.colorspace, spec.tint, nonfinite)
+
+
 @contextlib.contextmanager
 def opened_layer(spec: LayerSpec, label: str, nonfinite: str) -> Iterator[LayerReader]:
     """A reader of the layer's pixels, closed at the end of the block.
 
-    `label` names it in errors. `nonfinite`: a policy on NaN and Inf, as in `LayerReader`.
+    `label` names it in errors. `nonfinite`: a policy on NaN and Inf, as in `Interpretation`.
     Errors: `SettingError`, `InputError`.
     """
     with seekable(spec.path, label) as path:
@@ -24,17 +30,22 @@ def opened_layer(spec: LayerSpec, label: str, nonfinite: str) -> Iterator[LayerR
         part, group = choose(
             file, part=spec.part, layer=spec.layer, mask=spec.tint is not None, label=label
         )
-        reader = LayerReader(
-            file,
-            part,
-            group,
-            alpha=spec.alpha,
-            colorspace=spec.colorspace,
-            tint=spec.tint,
-            nonfinite=nonfinite,
-            label=label,
-        )
-        try:
+        reader = LayerReader(file, part, group, _interpretation(spec, nonfinite), label)
+        with contextlib.closing(reader):
             yield reader
-        finally:
-            reader.close()
+
+
+@contextlib.contextmanager
+def opened_deep_layer(spec: LayerSpec, label: str, nonfinite: str) -> Iterator[DeepReader]:
+    """A reader of the layer's deep samples, closed at the end of the block; as `opened_layer`."""
+    with (
+        seekable(spec.path, label) as path,
+        open_deep(
+            path,
+            part=spec.part,
+            layer=spec.layer,
+            interpretation=_interpretation(spec, nonfinite),
+            label=label,
+        ) as reader,
+    ):
+        yield reader

@@ -9,7 +9,7 @@ import contextlib
 import logging
 import os
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from threading import Lock
@@ -29,13 +29,14 @@ from ..engine import choice as engine
 from ..engine.deepcompositing import bytes_to_reduce, flat
 from ..errors import SettingError
 from ..geometry import Window
-from ..imagefile.deepreading import DeepReader, open_deep
-from ..imagefile.seekable import STDIN, seekable
+from ..imagefile.deepreading import DeepReader
+from ..imagefile.seekable import STDIN
 from ..imagefile.source import codec_threads
 from ..imagefile.writing import OutputForm
 from ..layers.canvas import LayerWindows, lay_out, output_window
 from ..layers.layerspec import LayerSpec
 from ..layers.notices import Notices, warn_of_losses, warn_of_problems
+from ..layers.opening import opened_deep_layer
 from ..layers.placing import Layer, layer_specs
 from ..options import OPTIONS, ResourceOptions, StackOptions, takes_options
 from ..system.memory import parse_bytes
@@ -165,7 +166,8 @@ def _planned(request: PictureRequest, opened: contextlib.ExitStack) -> Flattenin
     options, rules = request.options, request.rules
     notices = Notices(options.rules.strict)
     readers = [
-        opened.enter_context(_opened_image(spec, options.rules.nonfinite)) for spec in request.specs
+        opened.enter_context(opened_deep_layer(spec, spec.title, options.rules.nonfinite))
+        for spec in request.specs
     ]
     if options.rules.primaries == BOTTOM:
         rules = rules.in_primaries(readers[0].decoding.encoding.primaries)
@@ -242,24 +244,6 @@ def deep_specs(images: Sequence[Layer]) -> list[LayerSpec]:
     if [spec.path for spec in specs].count(STDIN) > 1:
         raise SettingError("stdin can be only one of the images")
     return specs
-
-
-@contextlib.contextmanager
-def _opened_image(spec: LayerSpec, nonfinite: str) -> Iterator[DeepReader]:
-    label = spec.title
-    with (
-        seekable(spec.path, label) as path,
-        open_deep(
-            path,
-            part=spec.part,
-            layer=spec.layer,
-            label=label,
-            alpha=spec.alpha,
-            colorspace=spec.colorspace,
-            nonfinite=nonfinite,
-        ) as reader,
-    ):
-        yield reader
 
 
 def _prepare(readers: Sequence[DeepReader], rules: StackRules, notices: Notices) -> None:

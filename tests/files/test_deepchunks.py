@@ -13,6 +13,7 @@ from deepfile import Deep, noise, of_pixels
 from hpcomp.errors import InputError, MismatchError
 from hpcomp.imagefile.deepreading import DeepReader
 from hpcomp.imagefile.description import describe
+from hpcomp.imagefile.interpretation import Interpretation
 from hpcomp.imagefile.parts import choose
 
 PACKINGS = ["none", "rle", "zips"]
@@ -23,7 +24,7 @@ GREEN = (0.0, 0.5, 0.0, 0.5, 1.0, 2.0)
 def reader_of(path, part=None, layer=None, **options):
     file = describe(str(path))
     chosen, group = choose(file, part=part, layer=layer, deep=True)
-    return DeepReader(file, chosen, group, **options)
+    return DeepReader(file, chosen, group, Interpretation(**options))
 
 
 def samples_of(reader, rows=1000):
