@@ -13,7 +13,8 @@ from ..errors import InputError, why
 from ..geometry import Window
 from . import exrscanlines, pngheader, pngscanlines
 from .exrscanlines import ExrLayout
-from .parts import METRES_PER_INCH, Channel, ImageFile, Part, color_groups
+from .header import METRES_PER_INCH
+from .parts import Channel, ImageFile, Part, color_groups
 from .pngscanlines import PngLayout
 from .rawfile import identity_of
 

@@ -16,12 +16,13 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from ..color.encodings import interop_id
-from ..color.primaries import REC709, Primaries
+from ..color.primaries import Primaries
 from ..color.samples import Samples
 from ..errors import InputError
 from ..geometry import Window
 from ..system.sourcedate import EXR_DATE, source_date
 from .deflate import InflateError, deflated, inflated
+from .header import PictureHeader
 from .packing import UNPACKS, exr_packed, exr_plain, exr_unpacked
 from .rawfile import RawFile
 from .segments import SegmentWriter
@@ -230,7 +231,7 @@ class ExrScanlines:
 
 @dataclass(frozen=True)
 class ExrForm:
-    """What a header says: linear RGBA of some primaries in one depth, or data planes.
+    """What an EXR holds, linear RGBA in one depth or data planes, how packed, and its header.
 
     `planes`: name and type of the channels that are no colour, sorted by name; all types of as many
     bytes as `depth`. Samples have them in the opposite order.
@@ -238,12 +239,8 @@ class ExrForm:
 
     depth: str
     compression: str
-    data_window: Window
-    display_window: Window
-    pixel_aspect: float
-    pixels_per_inch: float | None = None
+    header: PictureHeader
     planes: tuple[tuple[str, str], ...] = ()
-    primaries: Primaries = REC709
 
 
 class ExrScanlineWriter(SegmentWriter[bytes]):
@@ -251,7 +248,7 @@ class ExrScanlineWriter(SegmentWriter[bytes]):
 
     def __init__(self, path: str, form: ExrForm, label: str) -> None:
         number, block_rows = COMPRESSIONS[form.compression]
-        window = form.data_window
+        window = form.header.data_window
         super().__init__(path, label, window.height, block_rows)
         self._deflates = form.compression != "none"
         self._next_row = window.y
@@ -294,23 +291,24 @@ def _color_attributes(primaries: Primaries) -> list[tuple[bytes, bytes, bytes]]:
 
 def _header(form: ExrForm, compression: int) -> bytes:
     """The attributes that the format asks for, and those that say what the colours mean."""
+    picture = form.header
     channels = b"".join(
         name.encode() + b"\0" + struct.pack("<iIii", _TYPES[kind][0], 0, 1, 1)
         for name, kind in form.planes or [(name, form.depth) for name in "ABGR"]
     )
     attributes = [
         (b"channels", b"chlist", channels + b"\0"),
-        *([] if form.planes else _color_attributes(form.primaries)),
+        *([] if form.planes else _color_attributes(picture.primaries)),
         (b"compression", b"compression", bytes([compression])),
-        (b"dataWindow", b"box2i", _box(form.data_window)),
-        (b"displayWindow", b"box2i", _box(form.display_window)),
+        (b"dataWindow", b"box2i", _box(picture.data_window)),
+        (b"displayWindow", b"box2i", _box(picture.display_window)),
         (b"lineOrder", b"lineOrder", b"\0"),
-        (b"pixelAspectRatio", b"float", struct.pack("<f", form.pixel_aspect)),
+        (b"pixelAspectRatio", b"float", struct.pack("<f", picture.pixel_aspect)),
         (b"screenWindowCenter", b"v2f", struct.pack("<2f", 0, 0)),
         (b"screenWindowWidth", b"float", struct.pack("<f", 1)),
     ]
-    if form.pixels_per_inch is not None:
-        attributes.append((b"xDensity", b"float", struct.pack("<f", form.pixels_per_inch)))
+    if picture.pixels_per_inch is not None:
+        attributes.append((b"xDensity", b"float", struct.pack("<f", picture.pixels_per_inch)))
     date = source_date()
     if date is not None:
         attributes.append((b"capDate", b"string", date.strftime(EXR_DATE).encode()))

@@ -226,22 +226,23 @@ class OpenImageIOExrWriter:
 
 def _spec(form: ExrForm) -> oiio.ImageSpec:
     """What `exrscanlines` writes into a header, in OpenImageIO's words."""
-    data, display = form.data_window, form.display_window
+    picture = form.header
+    data, display = picture.data_window, picture.display_window
     spec = oiio.ImageSpec(data.width, data.height, 4, oiio.TypeDesc(form.depth))
     spec.x, spec.y = data.x, data.y
     spec.full_x, spec.full_y = display.x, display.y
     spec.full_width, spec.full_height = display.width, display.height
     spec.attribute("compression", form.compression)
-    xy = form.primaries.xy.ravel()
+    xy = picture.primaries.xy.ravel()
     spec.attribute("chromaticities", oiio.TypeDesc("float[8]"), tuple(xy))
-    name = interop_id(form.primaries)
+    name = interop_id(picture.primaries)
     if name is not None:
         spec.attribute("colorInteropID", name)
-    spec.attribute("PixelAspectRatio", float(form.pixel_aspect))
-    if form.pixels_per_inch is not None:
+    spec.attribute("PixelAspectRatio", float(picture.pixel_aspect))
+    if picture.pixels_per_inch is not None:
         spec.attribute("ResolutionUnit", "in")
-        spec.attribute("XResolution", form.pixels_per_inch)
-        spec.attribute("YResolution", form.pixels_per_inch * form.pixel_aspect)
+        spec.attribute("XResolution", picture.pixels_per_inch)
+        spec.attribute("YResolution", picture.pixels_per_inch * picture.pixel_aspect)
     date = source_date()
     # An empty date keeps the clock out of the file.
     spec.attribute("DateTime", "" if date is None else date.strftime(EXR_DATE))

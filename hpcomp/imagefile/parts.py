@@ -13,8 +13,6 @@ from .exrscanlines import ExrLayout
 from .pngscanlines import PngLayout
 from .rawfile import Identity
 
-METRES_PER_INCH = 0.0254
-
 
 @dataclass(frozen=True)
 class Channel:

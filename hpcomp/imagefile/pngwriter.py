@@ -16,6 +16,7 @@ from ..color.samples import Samples
 from ..system.sourcedate import source_date
 from . import iccprofile
 from .deflate import LAST_BLOCK, adler32, crc32, deflated, deflated_segment, joined_adler32
+from .header import PictureHeader
 from .packing import Bytes, png_filtered, size_of_differences
 from .pngheader import CICP_PRIMARIES, CICP_SRGB, SIGNATURE
 from .segments import SegmentWriter
@@ -93,21 +94,20 @@ def segment_bytes(row_bytes: int) -> int:
 
 
 class PngWriter(SegmentWriter[Segment]):
-    """Writes one RGBA picture, rows top to bottom. `label` names the file in errors."""
+    """Writes one RGBA picture, rows top to bottom, whose codes have the curve of sRGB.
+
+    `depth`: 8 or 16 bits. `compression`: one of `COMPRESSIONS`. `label` names the file in errors.
+    """
 
     def __init__(
         self,
         path: str,
-        width: int,
-        height: int,
+        header: PictureHeader,
         depth: int,
         compression: str,
-        *,
-        primaries: Primaries = REC709,
-        pixel_aspect: float,
-        pixels_per_metre: tuple[float, float] | None,
         label: str,
     ) -> None:
+        width, height = header.data_window.width, header.data_window.height
         row_bytes = width * 4 * depth // 8
         super().__init__(path, label, height, segment_bytes(row_bytes) // row_bytes)
         self._pixel_bytes = 4 * depth // 8
@@ -115,8 +115,8 @@ class PngWriter(SegmentWriter[Segment]):
         self._adler = 1
         self._put_bytes(SIGNATURE)
         self._put(b"IHDR", struct.pack(">IIBBBBB", width, height, depth, _RGBA, 0, 0, 0))
-        self._put_color(primaries)
-        self._put_density(pixel_aspect, pixels_per_metre)
+        self._put_color(header.primaries)
+        self._put_density(header)
         self._put_date()
         self._put(b"IDAT", b"\x78\x01")
 
@@ -136,15 +136,13 @@ class PngWriter(SegmentWriter[Segment]):
         red, green, blue, white = np.rint(primaries.xy * 100000).astype(int).tolist()
         self._put(b"cHRM", struct.pack(">8I", *white, *red, *green, *blue))
 
-    def _put_density(
-        self, pixel_aspect: float, pixels_per_metre: tuple[float, float] | None
-    ) -> None:
+    def _put_density(self, header: PictureHeader) -> None:
         """pHYs, where there is anything to say that its numbers can hold."""
-        if pixels_per_metre is not None:
-            densities, unit = pixels_per_metre, 1
-        elif pixel_aspect != 1:
+        if header.pixels_per_metre is not None:
+            densities, unit = header.pixels_per_metre, 1
+        elif header.pixel_aspect != 1:
             # Pixels a unit, of no unit: their ratio is the shape of a pixel.
-            densities, unit = (10000.0, 10000.0 * pixel_aspect), 0
+            densities, unit = (10000.0, 10000.0 * header.pixel_aspect), 0
         else:
             return
         if all(0.5 < density < _LARGEST_NUMBER for density in densities):

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 from ..color.primaries import OUT_PRIMARIES, PRIMARIES, REC709, Primaries
 from ..color.samples import Samples
 from ..errors import SettingError, unknown_name
-from ..geometry import Window
+from ..system.outputs import STDOUT
 from . import exrscanlines, pngwriter
 from .exrscanlines import ExrForm
 from .forms import COMPRESSIONS, DEPTHS, EXR_COMPRESSIONS, FORMATS
-from .parts import METRES_PER_INCH
-from .seekable import STDIN
+from .header import PictureHeader
 
 #: The state and buffers of a codec.
 _CODEC_BYTES = 1 << 17
@@ -28,12 +27,12 @@ def format_of_output(path: str, format: str | None = None) -> str:
     if format is not None and format not in FORMATS:
         raise unknown_name("format", format, FORMATS)
     ending = os.path.splitext(path)[1].lower().removeprefix(".")
-    if path != STDIN and ending in FORMATS:
+    if path != STDOUT and ending in FORMATS:
         if format not in (None, ending):
             raise SettingError(f"output {path} ends in .{ending} but the format is {format}")
         return ending
     if format is None:
-        where = "stdout" if path == STDIN else f"output {path}"
+        where = "stdout" if path == STDOUT else f"output {path}"
         raise SettingError(
             f"{where} does not say its format: end it in .png or .exr, or give --format"
         )
@@ -134,44 +133,17 @@ class ImageWriter(Protocol):
         """Closes the file, whatever state it is in."""
 
 
-def open_writer(
-    path: str,
-    form: OutputForm,
-    data_window: Window,
-    display_window: Window,
-    *,
-    primaries: Primaries = REC709,
-    pixel_aspect: float = 1.0,
-    pixels_per_metre: tuple[float, float] | None = None,
-    label: str | None = None,
-) -> ImageWriter:
+def open_writer(path: str, form: OutputForm, header: PictureHeader, label: str) -> ImageWriter:
     """A writer of samples of `form.kind` (rows, width, 4) to `path`; `label` names it in errors.
 
-    `primaries`: those of the samples of an EXR.
+    The primaries of the header are those of an EXR; a PNG has those of its form.
     """
     if form.format == "png":
-        return pngwriter.PngWriter(
-            path,
-            data_window.width,
-            data_window.height,
-            int(form.depth),
-            form.compression,
-            primaries=form.gamut,
-            pixel_aspect=pixel_aspect,
-            pixels_per_metre=pixels_per_metre,
-            label=label or path,
-        )
-    exr = ExrForm(
-        form.depth,
-        form.compression,
-        data_window,
-        display_window,
-        pixel_aspect,
-        pixels_per_metre and pixels_per_metre[0] * METRES_PER_INCH,
-        primaries=primaries,
-    )
+        in_gamut = replace(header, primaries=form.gamut)
+        return pngwriter.PngWriter(path, in_gamut, int(form.depth), form.compression, label)
+    exr = ExrForm(form.depth, form.compression, header)
     if form.by_openimageio:
         from .openimageio import OpenImageIOExrWriter
 
-        return OpenImageIOExrWriter(path, exr, label or path)
-    return exrscanlines.ExrScanlineWriter(path, exr, label or path)
+        return OpenImageIOExrWriter(path, exr, label)
+    return exrscanlines.ExrScanlineWriter(path, exr, label)

@@ -14,6 +14,7 @@ from ..color.samples import encode
 from ..errors import MismatchError
 from ..geometry import Window
 from ..imagefile.description import describe
+from ..imagefile.header import PictureHeader
 from ..imagefile.parts import ImageFile
 from ..imagefile.reading import STRIP_ROWS, LayerImage
 from ..imagefile.seekable import STDIN, seekable
@@ -104,9 +105,8 @@ def write_image(
     notices = Notices(strict)
     losses = Losses()
     with whole_output(path, clobber=clobber) as target:
-        writer = open_writer(
-            target, form, window, display_window or window, primaries=working, label=path
-        )
+        header = PictureHeader(window, display_window or window, working)
+        writer = open_writer(target, form, header, path)
         try:
             for begin in range(0, window.height, STRIP_ROWS):
                 part = rgba[begin : begin + STRIP_ROWS]

@@ -11,6 +11,7 @@ from ..blending.rules import StackRules
 from ..color.quantization import Losses
 from ..errors import SettingError
 from ..geometry import Window
+from ..imagefile.header import PictureHeader
 from ..imagefile.parts import Part
 from ..imagefile.writing import ImageWriter, OutputForm, format_of_output, open_writer
 from ..layers.layerspec import LayerSpec
@@ -110,16 +111,14 @@ class PicturePlan:
     @contextlib.contextmanager
     def writer(self) -> Iterator[ImageWriter]:
         """Writes the picture, which is complete when the block ends in peace."""
-        writer = open_writer(
-            self.target,
-            self.request.form,
+        header = PictureHeader(
             self.window,
             self.canvas,
-            primaries=self.rules.primaries,
-            pixel_aspect=self.bottom.pixel_aspect,
-            pixels_per_metre=self.bottom.pixels_per_metre,
-            label=self.request.shown,
+            self.rules.primaries,
+            self.bottom.pixel_aspect,
+            self.bottom.pixels_per_metre,
         )
+        writer = open_writer(self.target, self.request.form, header, self.request.shown)
         try:
             yield writer
             writer.finish()

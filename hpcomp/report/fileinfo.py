@@ -6,7 +6,8 @@ from typing import Any
 
 from ..errors import InputError, printable
 from ..geometry import Window
-from ..imagefile.parts import METRES_PER_INCH, ColorGroup, ImageFile, Part, choose
+from ..imagefile.header import METRES_PER_INCH
+from ..imagefile.parts import ColorGroup, ImageFile, Part, choose
 
 #: Version of the data that `as_data` gives; it grows when a key changes its meaning or goes.
 SCHEMA_VERSION = 1

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ..errors import OutputError, why
 from ..geometry import Window
+from ..imagefile.header import PictureHeader
 from ..imagefile.writing import OutputForm, open_writer
 
 #: Pixels of a screen that a picture may fill. A small one grows up to them: by whole numbers where
@@ -37,7 +38,7 @@ def png_bytes(pixels: Pixels) -> bytes:
         raise OutputError(f"pictures of the report cannot be written: {why(reason)}") from None
     try:
         form = OutputForm.checked("png", compression="small")
-        writer = open_writer(path, form, window, window, label="a picture of the report")
+        writer = open_writer(path, form, PictureHeader(window, window), "a picture of the report")
         try:
             writer.write(writer.prepare(0, pixels))
             writer.finish()

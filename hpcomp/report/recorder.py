@@ -23,6 +23,7 @@ from ..engine import choice as engine
 from ..errors import OutputError, SettingError, why
 from ..geometry import Window
 from ..imagefile.exrscanlines import ExrForm, ExrScanlineWriter
+from ..imagefile.header import PictureHeader
 from ..imagefile.writing import OutputForm
 from ..measures.findings import MeasuredStrip, StackFindings
 from ..measures.histogram import DEFAULT_ACHROMATIC, DEFAULT_BINS, HueHistogram
@@ -139,7 +140,8 @@ class Recorder:
         self._preview = _PreviewSums(window, rules.primaries) if self._with_preview else None
         self._provenance = None
         if self._provenance_path is not None:
-            form = ExrForm("float", "zip", window, canvas, pixel_aspect, planes=_PLANES)
+            header = PictureHeader(window, canvas, pixel_aspect=pixel_aspect)
+            form = ExrForm("float", "zip", header, _PLANES)
             place = self._places[self._provenance_path]
             self._provenance = ExrScanlineWriter(place, form, self._provenance_path)
         try:

@@ -24,7 +24,9 @@ from PIL import Image
 
 import hpcomp
 from hpcomp.errors import OutputError
+from hpcomp.geometry import Window
 from hpcomp.imagefile import segments
+from hpcomp.imagefile.header import PictureHeader
 from hpcomp.imagefile.pngwriter import COMPRESSIONS, PngWriter
 
 DTYPES = {8: np.uint8, 16: np.uint16}
@@ -66,8 +68,9 @@ PICTURES = (noise, smooth, flat, empty)
 
 def writer(path, samples, compression="fast", **density):
     height, width = samples.shape[:2]
-    settings = {"pixel_aspect": 1.0, "pixels_per_metre": None, "label": "out.png", **density}
-    return PngWriter(str(path), width, height, 8 * samples.dtype.itemsize, compression, **settings)
+    window = Window(0, 0, width, height)
+    header = PictureHeader(window, window, **density)
+    return PngWriter(str(path), header, 8 * samples.dtype.itemsize, compression, "out.png")
 
 
 def write(path, samples, compression="fast", cuts=(), **density):

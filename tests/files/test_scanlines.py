@@ -31,6 +31,7 @@ from hpcomp import InputError, MismatchError, OutputError, Window
 from hpcomp.imagefile import description, exrscanlines, packing, pngheader, pngscanlines, segments
 from hpcomp.imagefile.description import describe
 from hpcomp.imagefile.exrscanlines import COMPRESSIONS, ExrForm, ExrScanlineWriter
+from hpcomp.imagefile.header import PictureHeader
 from hpcomp.imagefile.openimageio import OpenImageIOExrWriter, OpenImageIOSource
 from hpcomp.imagefile.parts import choose
 from hpcomp.imagefile.rawfile import RawFile, identity_of
@@ -882,8 +883,8 @@ def form_of(samples, compression, x=0, y=0, **others):
     height, width = samples.shape[:2]
     window = Window(x, y, width, height)
     depth = {2: "half", 4: "float"}[samples.dtype.itemsize]
-    settings = {"display_window": window, "pixel_aspect": 1.0, "pixels_per_inch": None, **others}
-    return ExrForm(depth, compression, window, **settings)
+    header = PictureHeader(window, **{"display_window": window, **others})
+    return ExrForm(depth, compression, header)
 
 
 def written(path, samples, form, cuts=(), by=ExrScanlineWriter):
@@ -937,7 +938,7 @@ class TestWrittenExr:
         samples = rgba(9, 21, DTYPES[kind], exrfile.coarse)
         form = form_of(
             samples, compression, -3, 4, display_window=Window(-1, 2, 90, 80), pixel_aspect=aspect,
-            pixels_per_inch=density,
+            pixels_per_metre=None if density is None else (density / 0.0254, density / 0.0254),
         )  # fmt: skip
         ours = written(tmp_path / "ours.exr", samples, form)
         theirs = written(tmp_path / "theirs.exr", samples, form, by=OpenImageIOExrWriter)
@@ -953,7 +954,7 @@ class TestWrittenExr:
         samples = rgba(9, 21, np.float16, exrfile.coarse)
         form = form_of(
             samples, "zip", 5, -6, display_window=Window(-1, 2, 90, 80), pixel_aspect=2.0,
-            pixels_per_inch=72.0,
+            pixels_per_metre=(72 / 0.0254, 72 / 0.0254),
         )  # fmt: skip
         written(tmp_path / "out.exr", samples, form)
         (part,) = describe(str(tmp_path / "out.exr")).parts
