@@ -25,8 +25,7 @@ from ..color.spaces import Space
 from ..errors import MismatchError, SettingError
 from ..geometry import Window
 from ..imagefile.reading import LayerReader
-from ..imagefile.seekable import STDIN
-from ..layers.layerspec import LayerSpec, layer_spec
+from ..layers.layerspec import LayerSpec, check_stdin, layer_spec
 from ..layers.notices import Notices, warn_of_problems, warn_of_zeroed
 from ..layers.opening import opened_layer
 from ..layers.placing import Layer, PlacedLayer, layer_specs, opened_stack, rules_of
@@ -49,6 +48,7 @@ from ..measures.labels import (
     summed,
 )
 from ..options import DEFAULTS, OPTIONS, StackOptions, takes_options
+from ..system.streams import STDIN
 
 Array = NDArray[np.float32]
 Mask = NDArray[np.bool_]
@@ -267,8 +267,7 @@ def check(
         )
     if bool(specs) == (hues is not None):
         raise SettingError("give either the LAYERs that the picture was made from, or --hues")
-    if [spec.path for spec in (picture, *specs)].count(STDIN) > 1:
-        raise SettingError("stdin can be only one of the files")
+    check_stdin([picture, *specs], "files")
     notices = Notices(checked.rules.strict)
     if hues is None:
         rules = rules_of(specs, checked.rules)

@@ -16,13 +16,13 @@ from ..color.samples import Strip, linear_rgba
 from ..errors import SettingError
 from ..imagefile.interpretation import check_nonfinite
 from ..imagefile.reading import STRIP_ROWS, LayerReader
-from ..imagefile.seekable import STDIN
 from ..imagefile.source import codec_threads
-from ..layers.layerspec import LayerSpec, layer_spec
+from ..layers.layerspec import LayerSpec, check_stdin, layer_spec
 from ..layers.notices import Notices, warn_of_problems, warn_of_zeroed
 from ..layers.opening import opened_layer
 from ..measures.histogram import DEFAULT_ACHROMATIC, DEFAULT_BINS, HueHistogram, hue_histogram
 from ..options import RuleOptions
+from ..system.streams import STDIN, STDOUT
 from ..system.threads import thread_count
 
 log = logging.getLogger("hpcomp")
@@ -50,8 +50,7 @@ def measured_image(image: Layer) -> LayerSpec:
 def images_to_measure(images: Sequence[Layer], output: str) -> list[LayerSpec]:
     """The pictures for a report at `output`, checked as far as names go. Errors: `SettingError`."""
     specs = [measured_image(image) for image in images]
-    if [spec.path for spec in specs].count(STDIN) > 1:
-        raise SettingError("stdin can be only one of the images")
+    check_stdin(specs, "images")
     for spec in specs:
         if _same_file(spec.path, output):
             raise SettingError(
@@ -62,7 +61,7 @@ def images_to_measure(images: Sequence[Layer], output: str) -> list[LayerSpec]:
 
 
 def _same_file(path: str, output: str) -> bool:
-    if STDIN in (path, output):
+    if path == STDIN or output == STDOUT:
         return False
     try:
         return os.path.isfile(path) and os.path.samefile(path, output)

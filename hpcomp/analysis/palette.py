@@ -26,7 +26,7 @@ from ..layers.layerspec import LayerSpec
 from ..measures.histogram import DEFAULT_ACHROMATIC
 from ..measures.labels import measure_settings
 from ..options import RuleOptions, stack_rules
-from ..system.outputs import STDOUT
+from ..system.streams import STDIN, STDOUT
 from .hues import Layer, images_to_measure, read_hues
 
 Floats = NDArray[np.floating[Any]]
@@ -354,7 +354,7 @@ def _named(color: Color) -> _Named:
 def _labels_of(spec: LayerSpec, achromatic: float, strict: bool, space: str) -> list[_Named]:
     """A label for each peak of a layer's hues, the most frequent first. Errors: `MismatchError`."""
     peaks = read_hues(spec, space=space, achromatic=achromatic, strict=strict).peaks
-    name = spec.name or ("stdin" if spec.path == "-" else PurePath(spec.path).stem)
+    name = spec.name or ("stdin" if spec.path == STDIN else PurePath(spec.path).stem)
     if not peaks:
         raise MismatchError(f"{spec.title}: no hue stands out in it: name its colours instead")
     if len(peaks) == 1:

@@ -10,7 +10,7 @@ import click
 
 from ..errors import ExitCode
 from ..system.depfile import Depfile
-from ..system.outputs import STDOUT
+from ..system.streams import STDOUT
 from .messages import say
 from .options import LayerCommand, format_option, message_options, print_data
 from .signals import load

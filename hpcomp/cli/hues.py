@@ -10,9 +10,10 @@ import click
 from ..errors import HpcompError, InputError, MismatchError
 from ..layers.layerspec import LayerSpec
 from ..measures.histogram import DEFAULT_ACHROMATIC, DEFAULT_BINS, FEWEST_BINS, MOST_BINS, WEIGHTS
-from ..report.hueformats import REPORT_FORMATS, put, report_format
+from ..report.hueformats import REPORT_FORMATS, report_format
 from ..report.look import AXES, SCALES, Entry, Look
-from ..system.outputs import STDOUT
+from ..system.outputs import write_bytes
+from ..system.streams import STDOUT
 from . import terminal
 from .messages import say
 from .options import LayerCommand, message_options, print_bytes
@@ -134,7 +135,7 @@ def command(
         if failures:
             ctx.exit(int(failures[0].exit_code))
         if target != STDOUT:
-            put(place, render(entries, look))
+            write_bytes(place, render(entries, look), target)
 
 
 def _measured(

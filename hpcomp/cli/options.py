@@ -11,7 +11,8 @@ from typing import Any, TypeVar
 import click
 
 from ..errors import HpcompWarning, SettingError
-from ..system.outputs import stdout_bytes, writing
+from ..system.outputs import writing
+from ..system.streams import stdout_bytes
 from .messages import say
 
 #: Where a context keeps the answer of `is_quiet`.

@@ -16,9 +16,9 @@ from ..analysis.palette import (
 from ..errors import ExitCode, SettingError
 from ..measures.histogram import DEFAULT_ACHROMATIC
 from ..options import ARRAY_RULES
-from ..report.hueformats import put
 from ..report.paletteformats import FIGURES, PALETTE_FORMATS, PaletteLook, load, palette_format
-from ..system.outputs import STDOUT
+from ..system.outputs import write_bytes
+from ..system.streams import STDOUT
 from . import signals, terminal
 from .messages import say
 from .options import F, LayerCommand, message_options, print_bytes
@@ -177,7 +177,7 @@ def command(
         if target == STDOUT:
             print_bytes(content)
         else:
-            put(place, content)
+            write_bytes(place, content, target)
     if options["strict"] and found.findings:
         for finding in found.findings:
             say(f"hpcomp: palette: {finding.kind}: {data.sentence(found, finding)}")

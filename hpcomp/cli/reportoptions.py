@@ -9,7 +9,8 @@ import click
 
 from ..report.hueformats import ReportFormat
 from ..system.depfile import Depfile
-from ..system.outputs import STDOUT, check_places, whole_output
+from ..system.outputs import check_places, whole_output
+from ..system.streams import STDOUT
 from .options import F
 
 

@@ -11,8 +11,7 @@ from collections.abc import Iterator
 from typing import IO
 
 from ..errors import InputError, why
-
-STDIN = "-"
+from ..system.streams import STDIN
 
 
 @contextlib.contextmanager

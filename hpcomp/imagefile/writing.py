@@ -9,7 +9,7 @@ from typing import Any, Protocol
 from ..color.primaries import OUT_PRIMARIES, PRIMARIES, REC709, Primaries
 from ..color.samples import Samples
 from ..errors import SettingError, unknown_name
-from ..system.outputs import STDOUT
+from ..system.streams import STDOUT
 from . import exrscanlines, pngwriter
 from .exrscanlines import ExrForm
 from .forms import COMPRESSIONS, DEPTHS, EXR_COMPRESSIONS, FORMATS

@@ -14,11 +14,11 @@ from graphlib import CycleError, TopologicalSorter
 from typing import Any, BinaryIO
 
 from ..errors import ExitCode, InputError, SettingError
-from ..imagefile.seekable import STDIN
 from ..options import OutputOptions, ResourceOptions
 from ..system.depfile import Depfile
 from ..system.memory import parse_bytes
-from ..system.outputs import STDOUT, check_places, stdout_bytes, writing
+from ..system.outputs import check_places, writing
+from ..system.streams import STDIN, STDOUT, stdout_bytes
 from .doing import maker
 from .jobfile import read_jobs
 from .processes import Crew, Processes, Result

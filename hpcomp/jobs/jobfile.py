@@ -11,8 +11,8 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 from ..errors import InputError, SettingError, unknown_key, unknown_name, why
-from ..imagefile.seekable import STDIN
-from ..system.outputs import whole_output, writing
+from ..system.outputs import whole_output, write_bytes, writing
+from ..system.streams import STDIN
 from .lines import Lines, json_keys, toml_keys
 from .schema import (
     SCHEMA_VERSION,
@@ -268,8 +268,8 @@ def save_jobs(jobs: Sequence[Job], path: str | os.PathLike[str], *, clobber: boo
     with writing(path):
         if ending == ".json":
             document = {"version": SCHEMA_VERSION, "jobs": [job.document() for job in jobs]}
-            with whole_output(path, clobber=clobber) as target, open(target, "w") as file:
-                file.write(json.dumps(document, indent=2) + "\n")
+            with whole_output(path, clobber=clobber) as target:
+                write_bytes(target, f"{json.dumps(document, indent=2)}\n".encode(), path)
             return
         lines = [json.dumps({"version": SCHEMA_VERSION, **job.document()}) for job in jobs]
         with open(path, "ab", buffering=0) as log:

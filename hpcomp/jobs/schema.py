@@ -16,9 +16,9 @@ from typing import Any
 
 from ..errors import SettingError, unknown_key
 from ..geometry import Window
-from ..imagefile.seekable import STDIN
 from ..layers.layerspec import LayerSpec, layer_spec
 from ..options import OPTIONS
+from ..system.streams import STDIN, STDOUT
 
 #: The version of the schema that is read and written.
 SCHEMA_VERSION = 1
@@ -201,7 +201,7 @@ def checked_job(table: Any, defaults: Mapping[str, Any], where: str) -> Job:
     specs = tuple(_layer(number, layer, table) for number, layer in enumerate(layers))
     job = Job(specs, output, {**defaults, **own}, where)
     for path in job.outputs:
-        if path == STDIN:
+        if path == STDOUT:
             raise MisplacedError("a job cannot write to stdout: name a file", table, "output")
         _check_path(path, table, "output")
     return job

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,6 +12,7 @@ from ..color.css import parse_hex_color
 from ..color.encodings import ALPHA_MODES, color_space
 from ..errors import SettingError, unknown_name
 from ..geometry import Placement, parse_placement
+from ..system.streams import STDIN
 
 
 @dataclass(frozen=True)
@@ -64,11 +65,11 @@ class LayerSpec:
     @property
     def title(self) -> str:
         """What reports call the layer."""
-        return self.name or ("stdin" if self.path == "-" else self.path)
+        return self.name or ("stdin" if self.path == STDIN else self.path)
 
     def label(self, number: int) -> str:
         """How errors name the layer, such as `layer 3 (leaf.png)`."""
-        shown = "stdin" if self.path == "-" else self.path
+        shown = "stdin" if self.path == STDIN else self.path
         return f"layer {number} ({self.name + ': ' if self.name else ''}{shown})"
 
 
@@ -115,6 +116,12 @@ def parse_layer(text: str) -> LayerSpec:
             raise SettingError(f"key '{key}' stands twice in '{text}'")
         found[key] = LAYER_KEYS[key](value)
     return LayerSpec(path, **found)
+
+
+def check_stdin(specs: Sequence[LayerSpec], what: str) -> None:
+    """Refuses stdin for more than one of `what`, such as "layers". Errors: `SettingError`."""
+    if [spec.path for spec in specs].count(STDIN) > 1:
+        raise SettingError(f"stdin can be only one of the {what}")
 
 
 def layer_spec(layer: LayerSpec | str | os.PathLike[str]) -> LayerSpec:

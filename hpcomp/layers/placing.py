@@ -15,10 +15,9 @@ from ..color.samples import Strip
 from ..errors import SettingError
 from ..geometry import Window
 from ..imagefile.reading import LayerReader
-from ..imagefile.seekable import STDIN
 from ..options import RuleOptions, StackOptions
 from .canvas import LayerWindows, lay_out
-from .layerspec import LayerSpec, layer_spec
+from .layerspec import LayerSpec, check_stdin, layer_spec
 from .notices import Notices, warn_of_layers
 from .opening import opened_layer
 
@@ -99,8 +98,7 @@ def opened_stack(
     `rules`: those of `rules_of`; they are put into the primaries that `options` ask for.
     Errors: `SettingError`, `InputError`, `MismatchError`.
     """
-    if [spec.path for spec in specs].count(STDIN) > 1:
-        raise SettingError("stdin can be only one of the layers")
+    check_stdin(specs, "layers")
     nonfinite = options.rules.nonfinite
     with contextlib.ExitStack() as opened:
         _allow_open_files(len(specs))

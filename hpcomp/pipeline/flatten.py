@@ -30,11 +30,10 @@ from ..engine.deepcompositing import bytes_to_reduce, flat
 from ..errors import SettingError
 from ..geometry import Window
 from ..imagefile.deepreading import DeepReader
-from ..imagefile.seekable import STDIN
 from ..imagefile.source import codec_threads
 from ..imagefile.writing import OutputForm
 from ..layers.canvas import LayerWindows, lay_out, output_window
-from ..layers.layerspec import LayerSpec
+from ..layers.layerspec import LayerSpec, check_stdin
 from ..layers.notices import Notices, warn_of_losses, warn_of_problems
 from ..layers.opening import opened_deep_layer
 from ..layers.placing import Layer, layer_specs
@@ -241,8 +240,7 @@ def deep_specs(images: Sequence[Layer]) -> list[LayerSpec]:
         for setting, why in USELESS_SETTINGS.items():
             if getattr(spec, setting) != getattr(LayerSpec, setting):
                 raise SettingError(f"{spec.title}: {why}, so '{setting}' is to be left out")
-    if [spec.path for spec in specs].count(STDIN) > 1:
-        raise SettingError("stdin can be only one of the images")
+    check_stdin(specs, "images")
     return specs
 
 

@@ -17,13 +17,14 @@ from ..imagefile.description import describe
 from ..imagefile.header import PictureHeader
 from ..imagefile.parts import ImageFile
 from ..imagefile.reading import STRIP_ROWS, LayerImage
-from ..imagefile.seekable import STDIN, seekable
+from ..imagefile.seekable import seekable
 from ..imagefile.writing import OutputForm, format_of_output, open_writer
 from ..layers.layerspec import layer_spec
 from ..layers.notices import Notices, warn_of_losses, warn_of_problems, warn_of_zeroed
 from ..layers.opening import opened_layer
 from ..options import OutputOptions, RuleOptions
 from ..system.outputs import whole_output
+from ..system.streams import STDIN
 from .strips import row_ranges
 
 

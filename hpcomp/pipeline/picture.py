@@ -18,7 +18,8 @@ from ..layers.layerspec import LayerSpec
 from ..layers.notices import Notices
 from ..options import StackOptions
 from ..system.depfile import Depfile
-from ..system.outputs import STDOUT, check_places, whole_output
+from ..system.outputs import check_places, whole_output
+from ..system.streams import STDOUT
 
 if TYPE_CHECKING:  # only reports need them
     from ..measures.findings import StackFindings

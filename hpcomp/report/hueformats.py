@@ -7,9 +7,10 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib import import_module
 
-from ..errors import OutputError, SettingError, unknown_name, why
+from ..errors import SettingError, unknown_name
 from ..measures.histogram import HueHistogram
-from ..system.outputs import STDOUT, whole_output
+from ..system.outputs import whole_output, write_bytes
+from ..system.streams import STDOUT
 from .look import Entry, Look
 
 Render = Callable[[Sequence[Entry], Look], bytes]
@@ -108,13 +109,4 @@ def write_hue_report(
     if not histograms:
         raise SettingError("a report needs a histogram: there is none")
     with whole_output(output, clobber=clobber) as target:
-        put(target, render(list(histograms.items()), look))
-
-
-def put(target: str, content: bytes) -> None:
-    """Writes a report to the file that `whole_output` gave. Errors: `OutputError`."""
-    try:
-        with open(target, "wb") as file:
-            file.write(content)
-    except OSError as reason:
-        raise OutputError(f"the report cannot be written: {why(reason)}") from None
+        write_bytes(target, render(list(histograms.items()), look), output)

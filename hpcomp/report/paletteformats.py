@@ -9,8 +9,8 @@ from typing import Any
 
 from ..analysis.palette import Palette
 from ..errors import unknown_name
-from ..system.outputs import whole_output
-from .hueformats import ReportFormat, put, report_format
+from ..system.outputs import whole_output, write_bytes
+from .hueformats import ReportFormat, report_format
 from .look import Look
 
 #: The parts of a figure, one of which can be drawn alone.
@@ -81,4 +81,4 @@ def write_palette_report(
     render = load(palette_format(output, format))
     look = PaletteLook(figure=figure)
     with whole_output(output, clobber=clobber) as target:
-        put(target, render(palette, look))
+        write_bytes(target, render(palette, look), output)

@@ -20,7 +20,7 @@ from ..color.primaries import REC709, Primaries
 from ..color.quantization import Losses
 from ..color.samples import Rgba, Samples, Strip, encode
 from ..engine import choice as engine
-from ..errors import OutputError, SettingError, why
+from ..errors import SettingError
 from ..geometry import Window
 from ..imagefile.exrscanlines import ExrForm, ExrScanlineWriter
 from ..imagefile.header import PictureHeader
@@ -35,7 +35,7 @@ from ..measures.labels import (
     measure_settings,
 )
 from ..options import StackOptions
-from ..system.outputs import whole_output
+from ..system.outputs import whole_output, write_bytes
 from ..version import __version__
 from .hueformats import report_format
 from .stackreport import (
@@ -216,11 +216,7 @@ class Recorder:
         )
         for path, name in self._reports:
             content = render_stack_report(report, name)
-            try:
-                with open(self._places[path], "wb") as file:
-                    file.write(content)
-            except OSError as reason:
-                raise OutputError(f"{path}: cannot be written: {why(reason)}") from None
+            write_bytes(self._places[path], content, path)
 
     def _settings_in_words(self) -> dict[str, str]:
         """What was chosen, as a report shows it."""

@@ -9,7 +9,8 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 from ..errors import SettingError
-from .outputs import STDOUT, whole_output, writing
+from .outputs import whole_output, write_bytes
+from .streams import STDIN, STDOUT
 
 #: What make takes for its own in a name, written so that make and ninja read the character alone.
 _ESCAPES = {"$": "$$", "#": "\\#", ":": "\\:"}
@@ -59,11 +60,7 @@ class Depfile:
         text = rule(self.targets, read)
         with whole_output(self.path, if_changed=if_changed) as place:
             yield
-            with (
-                writing(self.path),
-                open(place, "w", encoding="utf-8", errors="surrogateescape") as file,
-            ):
-                file.write(text)
+            write_bytes(place, text.encode("utf-8", "surrogateescape"), self.path)
 
 
 def rule(targets: Iterable[str], inputs: Iterable[str]) -> str:
@@ -105,4 +102,4 @@ def _escaped(path: str) -> str:
 
 def _is_stream(path: str) -> bool:
     """Whether it is stdin, or a pipe or device, which make could not look at."""
-    return path == STDOUT or (os.path.exists(path) and not os.path.isfile(path))
+    return path == STDIN or (os.path.exists(path) and not os.path.isfile(path))

@@ -10,8 +10,7 @@ from collections.abc import Iterable, Iterator
 from typing import BinaryIO
 
 from ..errors import OutputError, SettingError, why
-
-STDOUT = "-"
+from .streams import STDOUT, stdout_bytes
 
 #: What the names of temporary files begin with, behind the dot of hidden ones; a process that
 #: another one may have to tidy up after has a name of its own here.
@@ -71,6 +70,15 @@ def whole_output(target: str, *, clobber: bool = True, if_changed: bool = False)
             os.unlink(temporary)
 
 
+def write_bytes(place: str, content: bytes, label: str) -> None:
+    """Writes all of a file to the `place` that `whole_output` gave; `label` names it in errors.
+
+    Errors: `OutputError`.
+    """
+    with writing(label), open(place, "wb") as file:
+        file.write(content)
+
+
 def check_places(paths: Iterable[str]) -> None:
     """Refuses outputs of which one would replace another. Errors: `SettingError`."""
     taken = set()
@@ -101,18 +109,6 @@ def remove_leftovers(targets: Iterable[str], prefix: str) -> None:
                 if name.startswith(f".{prefix}"):
                     with contextlib.suppress(FileNotFoundError):
                         os.unlink(os.path.join(directory, name))
-
-
-def stdout_bytes() -> BinaryIO:
-    """Stdout as a stream that writes all that it is given.
-
-    Python's own does not where PYTHONUNBUFFERED is set: what a pipe does not take at once is lost.
-    Errors: `OutputError` where it is closed.
-    """
-    if sys.stdout is None:
-        raise OutputError("stdout is closed: give it a reader")
-    sys.stdout.flush()
-    return open(sys.stdout.fileno(), "wb", closefd=False)
 
 
 def _temporary_directory() -> str:
