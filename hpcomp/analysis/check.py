@@ -65,7 +65,7 @@ STRIP_PIXELS = 1 << 20
 
 
 @dataclass(frozen=True)
-class Label:
+class ExpectedHue:
     """A hue that may be asked for: that of layer `number`, or `hue` in degrees; `text` names it."""
 
     text: str
@@ -130,7 +130,7 @@ class CheckResult:
     image: str
     against: str
     settings: MeasureSettings
-    labels: tuple[Label, ...]
+    labels: tuple[ExpectedHue, ...]
     sums: CheckSums
     verdicts: tuple[Verdict, ...] = ()
 
@@ -186,7 +186,7 @@ def parse_hues(hues: str | Sequence[float]) -> tuple[float, ...]:
     return found
 
 
-def _label(wanted: str | float, specs: Sequence[LayerSpec]) -> Label:
+def _label(wanted: str | float, specs: Sequence[LayerSpec]) -> ExpectedHue:
     """A label from degrees, or from `layer:` and a number or a name."""
     text = str(wanted)
     if text.startswith("layer:"):
@@ -199,10 +199,10 @@ def _label(wanted: str | float, specs: Sequence[LayerSpec]) -> Label:
         raise SettingError(
             f"'{text}' is no label: write a hue in degrees such as 120, or layer:1 or layer:NAME"
         )
-    return Label(f"hue {hue:g}", None, hue)
+    return ExpectedHue(f"hue {hue:g}", None, hue)
 
 
-def _layer_label(wanted: str, specs: Sequence[LayerSpec]) -> Label:
+def _layer_label(wanted: str, specs: Sequence[LayerSpec]) -> ExpectedHue:
     named = [n for n, spec in enumerate(specs) if wanted == spec.name]
     named = named or [n for n, spec in enumerate(specs) if wanted == str(n)]
     named = named or [n for n, spec in enumerate(specs) if wanted == PurePath(spec.path).stem]
@@ -210,7 +210,7 @@ def _layer_label(wanted: str, specs: Sequence[LayerSpec]) -> Label:
         there_is = ", ".join(spec.label(n) for n, spec in enumerate(specs)) or "none: name LAYERs"
         problem = "is not one of the layers" if not named else "fits several layers"
         raise SettingError(f"label 'layer:{wanted}' {problem}: there is {there_is}")
-    return Label(specs[named[0]].label(named[0]), named[0], None)
+    return ExpectedHue(specs[named[0]].label(named[0]), named[0], None)
 
 
 #: The options that place and weigh layers, which a list of hues has none of.
@@ -271,7 +271,7 @@ def check(
     notices = Notices(checked.rules.strict)
     if hues is None:
         rules = rules_of(specs, checked.rules)
-        labels = [Label(spec.label(n), n, None) for n, spec in enumerate(specs)]
+        labels = [ExpectedHue(spec.label(n), n, None) for n, spec in enumerate(specs)]
         listed: list[Array] = []
     else:
         for name in _OF_LAYERS:
@@ -279,7 +279,7 @@ def check(
                 raise SettingError(f"--{name} is about layers: a check against --hues has none")
         rules = checked.rules.of_layers([None], [1.0])
         degrees = parse_hues(hues)
-        labels = [Label(f"hue {hue:g}", None, hue) for hue in degrees]
+        labels = [ExpectedHue(f"hue {hue:g}", None, hue) for hue in degrees]
         listed = [vector_of(hue, rules.space) for hue in degrees]
     labels += [label for label in required if label not in labels]
     settings = measure_settings(rules, achromatic=achromatic, foreign_tolerance=foreign_tolerance)
@@ -320,7 +320,7 @@ def _picture_spec(image: Layer) -> LayerSpec:
 def _verdicts(
     result: CheckResult,
     limits: dict[str, float | None],
-    required: Sequence[Label],
+    required: Sequence[ExpectedHue],
     least: float,
 ) -> Iterator[Verdict]:
     measured = {"max-foreign": result.foreign_share, "max-grey": result.grey_share}
@@ -455,7 +455,7 @@ class _Gauge:
 
     rules: StackRules
     settings: MeasureSettings
-    labels: Sequence[Label]
+    labels: Sequence[ExpectedHue]
     hues: Sequence[Array]
 
     @property
@@ -515,12 +515,12 @@ class _Gauge:
         settings: MeasureSettings,
     ) -> CheckSums:
         support = Support.of(picture.p, terms, settings)
-        homeless = np.flatnonzero(picture.chromatic & ~support.has_hue)
-        fit = _Fit.of(picture.chosen(homeless), homeless, decoding, self.rules, settings)
+        unmatched = np.flatnonzero(picture.chromatic & ~support.has_hue)
+        fit = _Fit.of(picture.chosen(unmatched), unmatched, decoding, self.rules, settings)
         foreign = np.zeros(len(picture.size), np.bool_)
-        near = np.array([fit.widened.holds(fit.p, term[:, homeless]) for term in terms.p])
-        backing = summed(np.where(near, terms.size[:, homeless], np.float32(0)))
-        foreign[homeless] = fit.certain & ~(backing > settings.half_step)
+        near = np.array([fit.widened.holds(fit.p, term[:, unmatched]) for term in terms.p])
+        backing = summed(np.where(near, terms.size[:, unmatched], np.float32(0)))
+        foreign[unmatched] = fit.certain & ~(backing > settings.half_step)
         total = terms.total()
         of_layers = not self.hues
         return CheckSums(
@@ -535,7 +535,7 @@ class _Gauge:
         )
 
     def _label_sums(
-        self, label: Label, picture: _Picture, terms: Contributors, fit: _Fit
+        self, label: ExpectedHue, picture: _Picture, terms: Contributors, fit: _Fit
     ) -> LabelSums:
         if label.number is None:
             assert label.hue is not None
@@ -549,15 +549,15 @@ class _Gauge:
 
 @dataclass(frozen=True)
 class _Fit:
-    """How near a hue has to be: within `base`, and where no hue is, in the `homeless`, `widened`.
+    """How near a hue has to be: within `base`, and of pixels that match no hue within `widened`.
 
-    `p` (2, homeless). `certain`: whether they have chroma whatever was rounded. `sharp`: whether
-    their hue is certain enough to show a label.
+    `unmatched`: the indices of these. `p` (2, unmatched): theirs. `certain`: whether they have
+    chroma whatever was rounded. `sharp`: whether their hue is certain enough to show a label.
     """
 
     half_step: float
     base: Angle
-    homeless: NDArray[np.intp]
+    unmatched: NDArray[np.intp]
     p: Array
     widened: Angle
     certain: Mask
@@ -566,12 +566,12 @@ class _Fit:
     @staticmethod
     def of(
         pixels: _Picture,
-        homeless: NDArray[np.intp],
+        unmatched: NDArray[np.intp],
         decoding: Decoding,
         rules: StackRules,
         settings: MeasureSettings,
     ) -> _Fit:
-        """`pixels`: the homeless ones."""
+        """`pixels`: the unmatched ones alone."""
         reach = quantization(pixels.stored, decoding, rules.space)
         turn = np.degrees(np.arcsin(np.minimum(1, reach / pixels.size)))
         tolerance = settings.foreign_tolerance
@@ -583,7 +583,7 @@ class _Fit:
         return _Fit(
             settings.half_step,
             Angle.of(tolerance),
-            homeless,
+            unmatched,
             pixels.p,
             Angle.of(np.minimum(180, tolerance + turn)),
             (pixels.size - reach) * least > settings.half_step,
@@ -593,7 +593,7 @@ class _Fit:
     def shows(self, picture: _Picture, p: Array) -> Mask:
         """Where the picture's hue is that of p (2, n)."""
         found = self.base.holds(picture.p, p)
-        found[self.homeless] = self.widened.holds(self.p, p[:, self.homeless]) & self.sharp
+        found[self.unmatched] = self.widened.holds(self.p, p[:, self.unmatched]) & self.sharp
         return found
 
 

@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-import contextlib
 import logging
 import os
 import time
-from collections import deque
-from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
-from threading import Event
 
 from ..color.samples import Strip, linear_rgba
 from ..errors import SettingError
@@ -23,7 +19,7 @@ from ..layers.opening import opened_layer
 from ..measures.histogram import DEFAULT_ACHROMATIC, DEFAULT_BINS, HueHistogram, hue_histogram
 from ..options import RuleOptions
 from ..system.streams import STDIN, STDOUT
-from ..system.threads import thread_count
+from ..system.threads import ThreadPipeline, thread_count
 
 log = logging.getLogger("hpcomp")
 
@@ -96,7 +92,13 @@ def read_hues(
     check_nonfinite(nonfinite)
     n_threads = thread_count(threads)
     total = HueHistogram.empty(bins, space, achromatic)
-    measure = partial(hue_histogram, bins=bins, space=space, achromatic=achromatic)
+
+    def measured(read: tuple[int, Strip]) -> _Measured:
+        begin, strip = read
+        rgba, broken = linear_rgba(strip)
+        part = hue_histogram(rgba, bins=bins, space=space, achromatic=achromatic)
+        return begin, part, broken
+
     notices = Notices(strict)
     begun = time.perf_counter()
     with (
@@ -105,8 +107,8 @@ def read_hues(
     ):
         warn_of_problems(reader, notices)
         # Closed before the reader is: no thread reads on behind a failure.
-        with contextlib.closing(_in_order(_strips(reader, measure), n_threads)) as strips:
-            for begin, part, broken in strips:
+        with ThreadPipeline[_Measured](n_threads) as pipeline:
+            for begin, part, broken in pipeline.read_ahead(_reads(reader), measured):
                 reader.note_nonfinite(begin, broken)
                 total += part
         warn_of_zeroed([reader], notices)
@@ -124,62 +126,15 @@ def read_hues(
 
 #: A strip's first row, its histogram, and how many of its pixels are stored with NaN or Inf.
 _Measured = tuple[int, HueHistogram, int]
-#: What reads a strip, and what measures it.
-_Work = tuple[Callable[[], Strip], Callable[[Strip], _Measured]]
 
 
-def _strips(reader: LayerReader, measure: Callable[..., HueHistogram]) -> Iterator[_Work]:
+def _reads(reader: LayerReader) -> Iterator[tuple[int, Callable[[], tuple[int, Strip]]]]:
+    """What reads each strip and tells its first row; all of one source."""
+
+    def read(begin: int, end: int) -> tuple[int, Strip]:
+        return begin, Strip(reader.read_samples(begin, end), reader.decoding)
+
     block, window = reader.rows_at_once, reader.window
-
-    def read(begin: int, end: int) -> Strip:
-        return Strip(reader.read_samples(begin, end), reader.decoding)
-
-    def measured(begin: int, strip: Strip) -> _Measured:
-        rgba, broken = linear_rgba(strip)
-        return begin, measure(rgba), broken
-
     rows = -(-STRIP_ROWS // block) * block  # whole blocks: none is decoded twice
     for begin in range(window.y, window.bottom, rows):
-        end = min(begin + rows, window.bottom)
-        yield partial(read, begin, end), partial(measured, begin)
-
-
-def _in_order(strips: Iterable[_Work], threads: int) -> Generator[_Measured, None, None]:
-    """The measures of strips in their order, so that the first error is that of the first strip.
-
-    Strips are read one after another, as a file's codec wants it, and measured side by side.
-    """
-    if threads == 1:
-        for read, measure in strips:
-            yield measure(read())
-        return
-
-    def work(
-        read: Callable[[], Strip],
-        measure: Callable[[Strip], _Measured],
-        previous: Event | None,
-        done: Event,
-    ) -> _Measured:
-        try:
-            # Only one that began before this: none waits for ever.
-            if previous is not None:
-                previous.wait()
-            strip = read()
-        finally:
-            done.set()
-        return measure(strip)
-
-    pool = ThreadPoolExecutor(threads, "hpcomp")
-    try:
-        waiting: deque[Future[_Measured]] = deque()
-        previous: Event | None = None
-        for read, measure in strips:
-            done = Event()
-            waiting.append(pool.submit(work, read, measure, previous, done))
-            previous = done
-            if len(waiting) > threads:
-                yield waiting.popleft().result()
-        while waiting:
-            yield waiting.popleft().result()
-    finally:
-        pool.shutdown(cancel_futures=True)
+        yield 0, partial(read, begin, min(begin + rows, window.bottom))

@@ -19,7 +19,7 @@ Array = NDArray[np.floating[Any]]
 Add = Callable[[Array, Array], Array]
 AddAll = Callable[[Array], Array]
 #: Reduces chroma terms, bottom first, p (n, 2, …) → (2, …).
-Reduction = Callable[[Array, Add, AddAll], Array]
+Reducer = Callable[[Array, Add, AddAll], Array]
 
 
 def _bottom_up(terms: Array, add: Add, add_all: AddAll) -> Array:
@@ -50,7 +50,7 @@ class Order:
     """
 
     name: str
-    reduce: Reduction
+    reduce: Reducer
     sequence: tuple[int, ...] = ()
 
 

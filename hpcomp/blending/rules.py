@@ -79,19 +79,20 @@ class StackRules:
         return self.blending.add_all(terms, self.hue_tolerance, self.gray_bias)
 
     @property
-    def depth(self) -> tuple[int, ...]:
+    def front_to_back(self) -> tuple[int, ...]:
         """The layers' numbers from front to back, as their operators put them there."""
-        found: tuple[int, ...] = ()
+        stacked: tuple[int, ...] = ()
         for number, row in enumerate(self.operators):
-            front, behind = ((number,), found) if row is None else row.front_first((number,), found)
-            found = front + behind
-        return found
+            here = (number,)
+            front, behind = (here, stacked) if row is None else row.front_first(here, stacked)
+            stacked = front + behind
+        return stacked
 
     @property
     def adding_order(self) -> orders.Order:
         """The order in which terms, bottom first, are added: the stack's, or from the front."""
         if self.blending.depends_on_depth:
-            return orders.order(self.depth, len(self.operators))
+            return orders.order(self.front_to_back, len(self.operators))
         return self.order
 
     @property

@@ -28,7 +28,7 @@ CONNECTION_S = 10
 #: How long a process on a worker waits for another job, should the batch have been killed.
 IDLE_S = 30
 #: How long a cluster may be without workers before that is said.
-LONELY_S = 5
+WITHOUT_WORKERS_S = 5
 #: Jobs that are given to each thread of the cluster, so that it never waits for the next one.
 JOBS_OF_A_THREAD = 2
 #: How often the cluster is asked how large it is.
@@ -85,8 +85,8 @@ def end_there(prefix: str) -> None:
     with _lock:
         processes, idle = _all.pop(prefix, []), _idle.pop(prefix, [])
     stop(processes)
-    for process in idle:  # a busy one is buried by the thread that waits for it
-        process.bury()
+    for process in idle:  # a busy one is reaped by the thread that waits for it
+        process.reap()
 
 
 # --- here -----------------------------------------------------------------------------------------
@@ -189,7 +189,7 @@ class Cluster:
             self._threads = sum(self._client.nthreads().values())
         if self._threads:
             self._seen = now
-        elif now - self._seen > LONELY_S:
+        elif now - self._seen > WITHOUT_WORKERS_S:
             self._seen = float("inf")
             warnings.warn(
                 f"{self._address} has no workers: the jobs wait for one",

@@ -109,7 +109,7 @@ class JobProcess:
 
     def death(self, outputs: Sequence[str]) -> Result:
         """What became of the job of a process that died; what it left beside `outputs` goes."""
-        code = self.bury()
+        code = self.reap()
         remove_leftovers(outputs, self.prefix)
         how = f"ended with exit code {code}" if code >= 0 else f"was ended by signal {-code}"
         with contextlib.suppress(ValueError):
@@ -123,7 +123,7 @@ class JobProcess:
         with contextlib.suppress(BrokenPipeError):
             self._tasks.close()
 
-    def bury(self) -> int:
+    def reap(self) -> int:
         """Waits for its end, which has to be near; how it ended."""
         self.dismiss()
         self.results.close()
@@ -208,13 +208,13 @@ class Processes:
         for process in self._idle:
             process.dismiss()
         for process in self._idle:
-            process.bury()
+            process.reap()
         self._selector.close()
 
     def stop(self) -> None:
         stop([*self._idle, *self._busy])
         for process in self._idle:
-            process.bury()
+            process.reap()
         for process, (_, outputs) in self._busy.items():
             process.death(outputs)
         self._selector.close()

@@ -48,6 +48,10 @@ def writes_behind(threads: int) -> int:
     return 2 if threads > 1 else 1
 
 
+def _unchanged(stored: Any) -> Any:
+    return stored
+
+
 class ThreadPipeline(Generic[T]):
     """`threads` threads that read, composite and write; with one, all is done in the caller's."""
 
@@ -76,20 +80,26 @@ class ThreadPipeline(Generic[T]):
         if self._given_up.is_set():
             raise CancelledError
 
-    def read_ahead(self, reads: Iterable[tuple[int, Callable[[], T]]]) -> Iterator[T]:
-        """The results of `(source, read)` in their order, some read ahead.
+    def read_ahead(
+        self,
+        reads: Iterable[tuple[int, Callable[[], Any]]],
+        then: Callable[[Any], T] = _unchanged,
+    ) -> Iterator[T]:
+        """What `then` makes of the results of `(source, read)`, in their order, some read ahead.
 
-        Reads of one source run one after another in their order: codecs are not shared.
+        Reads of one source run one after another in their order: codecs are not shared. `then`
+        runs in the same threads, side by side with other reads. The first error is that of the
+        first read.
         """
         waiting: deque[Future[T]] = deque()
         # Not the future itself, which would keep every source's last strip in memory.
         last_read: dict[int, Event] = {}
         for source, read in reads:
             if self._pool is None:
-                yield self._read(None, read, Event())
+                yield self._read(None, read, then, Event())
                 continue
             done = Event()
-            waiting.append(self._pool.submit(self._read, last_read.get(source), read, done))
+            waiting.append(self._pool.submit(self._read, last_read.get(source), read, then, done))
             last_read[source] = done
             if len(waiting) > reads_ahead(self.threads):
                 yield waiting.popleft().result()
@@ -121,14 +131,21 @@ class ThreadPipeline(Generic[T]):
 
     # A task waits only for one that was queued, and so begun, before it: none waits for ever.
 
-    def _read(self, previous: Event | None, read: Callable[[], T], done: Event) -> T:
+    def _read(
+        self,
+        previous: Event | None,
+        read: Callable[[], Any],
+        then: Callable[[Any], T],
+        done: Event,
+    ) -> T:
         try:
             if previous is not None:
                 previous.wait()
             with self._timed("reading"):
-                return read()
+                stored = read()
         finally:
             done.set()
+        return then(stored)
 
     def _composite(self, work: Callable[[], None]) -> None:
         with self._timed("compositing"):
