@@ -180,9 +180,9 @@ def stacks() -> Iterator[str]:
     yield f"hpcomp stack {MAP} -o out.png --write-if-changed && hpcomp stack {MAP} -o out.png --write-if-changed --no-clobber"
     yield f"hpcomp stack {MAP} -o out.png --depfile out.d --depfile-target a --depfile-target b"
     yield f"hpcomp stack {MAP} -o out.png --depfile -"
-    for frames in ("1,3-4", "1-6", "1-4x2 -j 1", "1,3-4 -j 2 -q"):
+    for frames in ("1,3-4 -j 1", "1-6 -j 1", "1-4x2 -j 1", "1,3-4 -j 2 -q"):  # one at a time, in order
         yield f"hpcomp stack {FRAMES} --frames {frames}"
-    yield "hpcomp stack bg.%04d.exr -o out.%04d.png --frames 1-3 --report r.%04d.json --depfile d"
+    yield "hpcomp stack bg.%04d.exr -o out.%04d.png --frames 1-3 -j 1 --report r.%04d.json --depfile d"
     yield f"hpcomp stack {MAP} --space oklab --order 2,0,1 --report a.json --save-job job.json -o out.png"
     yield f"hpcomp stack {MAP} --save-job jobs2.jsonl -o a.png && hpcomp stack {MASKS} --save-job jobs2.jsonl -o b.png"
     yield f"hpcomp stack {FRAMES} --frames 1-6 --save-job shot.json; hpcomp batch shot.json -j 1 --log shot.log"
@@ -193,8 +193,8 @@ def reports() -> Iterator[str]:
     for options in ("", "--blending traditional", "--space oklab --order simultaneous", "--blending foremost"):
         yield f"hpcomp stack {TERRAIN} {options} -o out.png {every} --provenance origin.exr"
     for layers in (MAP, MASKS, "wide.exr --overscan", "nan.exr --nonfinite keep", "roads.png"):
-        for engine in ("kernel", "reference"):
-            yield f"HPCOMP_ENGINE={engine} hpcomp stack {layers} -o out.exr {every} --provenance origin.exr"
+        yield f"hpcomp stack {layers} -o out.exr {every} --provenance origin.exr"
+        yield f"HPCOMP_ENGINE=reference hpcomp stack {layers} -o out.exr --report r.json --report r.html --provenance origin.exr"
     for options in ("--foreign-tolerance 20", "--achromatic 0.2", "--bins 36", "--energy-weights 1,1,2", "--region 9x9+9+9"):  # fmt: skip
         yield f"hpcomp stack {MAP} {options} -o out.png --report r.json --report r.txt --report r.html"
     yield f"hpcomp stack {MAP} -o - --format png --report r.csv --depfile d > out.png"
@@ -250,8 +250,8 @@ def histograms() -> Iterator[str]:
     for form in ("text", "json", "csv", "svg", "png", "pdf", "html"):
         yield f"hpcomp hues {TERRAIN.replace('::opacity=0.65', '')} --format {form}"
         yield f"hpcomp hues roads.png::name=roads rivers.exr mask.png::tint=#f00 -o out.{form.replace('text', 'txt')} --depfile d"
-        for axes in ("linear", "polar"):
-            yield f"hpcomp hues layers/elevation.png layers/steep.exr --format {form} --axes {axes} --scale log --weight chroma --bins 36"
+    for axes in ("linear", "polar"):
+        yield f"hpcomp hues layers/elevation.png roads.png --format svg --axes {axes} --scale log --weight chroma --bins 36"
     for options in (*(f"--space {s}" for s in SPACES), "--achromatic 0.3", "--weight alpha", "--scale linear", "--threads 1"):  # fmt: skip
         yield f"hpcomp hues layers/elevation.png wide.exr {options}"
     yield "hpcomp hues roads.png text.png parts.exr::part=right - < rivers.exr"
@@ -261,9 +261,10 @@ def histograms() -> Iterator[str]:
 def palettes() -> Iterator[str]:
     labels = "fault=#ff7200 streams=#0050ff band=#ffdd00 heath=d95f02 grey=#888"
     for form in ("text", "json", "svg", "png", "pdf"):
-        for figure in ("all", "profiles", "discs"):
-            yield f"hpcomp palette {labels} --format {form} --figure {figure}"
+        yield f"hpcomp palette {labels} --format {form}"
         yield f"hpcomp palette '#e41a1c' '#377eb8' -o out.{form.replace('text', 'txt')} --depfile d"
+    for figure in ("profiles", "discs"):
+        yield f"hpcomp palette {labels} --format svg --figure {figure}"
     for options in (
         *(f"--space {s} --order simultaneous" for s in SPACES), "--background '#202020' --opacity 0.2", "--gray-bias 1 --hue-tolerance 0",
         "--least-difference 0.3 --close-hues 40 --grey-opacity 0.6 --achromatic 0.1", "--strict", "--blending foremost",
