@@ -51,7 +51,7 @@ def _print_version(ctx: click.Context, param: click.Parameter, value: bool) -> N
     if value and not ctx.resilient_parsing:
         engine = signals.load("hpcomp.engine.choice")
         try:
-            name = engine.active().NAME
+            name = engine.chosen().NAME
         except SettingError as error:
             raise click.UsageError(str(error), ctx) from error
         click.echo(f"hpcomp {__version__} (engine: {name})")

@@ -11,6 +11,7 @@ most that is to be asked of it at a time where it cannot be interrupted; and the
 from __future__ import annotations
 
 import os
+import warnings
 from collections.abc import Sequence
 from functools import cache
 from importlib import import_module
@@ -24,7 +25,7 @@ from ..blending.rules import StackRules
 from ..color.primaries import REC709, Primaries
 from ..color.quantization import Losses
 from ..color.samples import Samples, Strip
-from ..errors import SettingError, unknown_name
+from ..errors import HpcompWarning, SettingError, unknown_name
 from . import reference
 
 if TYPE_CHECKING:  # only reports need them
@@ -66,7 +67,7 @@ def _found_kernel() -> ModuleType | None:
     return kernel
 
 
-def active() -> ModuleType:
+def chosen() -> ModuleType:
     """The engine that composites now. Errors: `SettingError` for one that there is not."""
     wanted = os.environ.get(VARIABLE) or None
     if wanted not in (None, *NAMES):
@@ -78,6 +79,29 @@ def active() -> ModuleType:
             "C++ compiler at hand"
         )
     return kernel or reference
+
+
+def active() -> ModuleType:
+    """The engine that is chosen, for work to be done with it.
+
+    Warns, once in a process, where it is the reference because the kernel is missing. That is no
+    error in a strict run, as the pictures are the same. Errors: as `chosen`.
+    """
+    engine = chosen()
+    if engine is reference and not os.environ.get(VARIABLE):
+        with _looking:
+            _warn_of_the_missing_kernel()
+    return engine
+
+
+@cache
+def _warn_of_the_missing_kernel() -> None:
+    warnings.warn(
+        "the kernel was not built, and the reference engine takes some ten times as long: install "
+        f"hpcomp again with a C++ compiler at hand, or choose it with {VARIABLE}=reference",
+        HpcompWarning,
+        stacklevel=3,
+    )
 
 
 def start(rules: StackRules, width: int, height: int, dtype: Any = np.float32) -> Accumulator:

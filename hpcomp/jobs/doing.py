@@ -7,6 +7,7 @@ and ends.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import queue
@@ -19,7 +20,14 @@ from types import FrameType
 from typing import Any, BinaryIO
 
 from ..engine import choice as engine
-from ..errors import ExitCode, HpcompError, HpcompWarning, MismatchError, one_line
+from ..errors import (
+    ExitCode,
+    HpcompError,
+    HpcompWarning,
+    MismatchError,
+    SettingError,
+    one_line,
+)
 from ..pipeline.stack import stack
 from ..system import outputs as outputfile
 from ..version import __version__
@@ -142,6 +150,8 @@ def main(temporary_prefix: str, patience_s: float | None) -> None:
     waiting: queue.Queue[bytes | None] = queue.Queue()
     busy = threading.Event()
     threading.Thread(target=_receive, args=(tasks, waiting, busy), daemon=True).start()
+    with warnings.catch_warnings(action="ignore"), contextlib.suppress(SettingError):
+        maker()  # that the kernel is missing was said by the batch, once for all its processes
     try:
         while (line := waiting.get(timeout=patience_s)) is not None:
             result = json.dumps(do_job(json.loads(line))).encode()
