@@ -72,6 +72,43 @@ def png_size(data):
     return int.from_bytes(header[:4], "big"), int.from_bytes(header[4:8], "big")
 
 
+# ---- the process and the call ---------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("code", "arguments"),
+    [
+        (0, ["stack", "base.png", "-o", "-", "--format", "png"]),
+        (0, ["info", "base.png", "top.exr"]),
+        (2, ["stack", "base.png"]),
+        (2, ["stack", "base.png", "-o", "out.png", "--op", "above"]),
+        (3, ["stack", "nowhere.png", "-o", "out.png"]),
+        (3, ["info", "nowhere.png"]),
+        (4, ["stack", "base.png", "top.png::at=+100+0", "-o", "out.png", "--canvas", "intersection"]),
+        (4, ["stack", "base.png", "-o", "out.png", "--max-memory", "1"]),
+        (5, ["stack", "base.png", "-o", "nowhere/out.png"]),
+        (5, ["hues", "base.png", "-o", "out.png", "--no-clobber"]),
+        (6, ["check", "base.png", "--hues", "120", "--max-foreign", "0"]),
+        (6, ["check", "base.png", "top.png", "--require-hue", "layer:0"]),
+    ],
+)
+def test_a_process_ends_as_a_call_in_this_one_does(desk, code, arguments):
+    """Other tests may therefore call it here, which takes a tenth of the time."""
+    called = desk.run(*arguments)
+    assert desk.run(*arguments, process=True) == called
+    assert called.code == code
+
+
+def test_a_bug_is_one_line_that_asks_for_a_report(desk, monkeypatch):
+    def broken():
+        raise RuntimeError("a wheel is off\nand rolls away")
+
+    monkeypatch.setattr(cli, "cli", click.Command("hpcomp", callback=broken))
+    run = desk.run()
+    said = "RuntimeError: a wheel is off and rolls away; please report it with what --debug prints"
+    assert (run.code, run.stdout, run.stderr) == (1, b"", f"hpcomp: bug: {said}\n")
+
+
 # ---- bad input: files -----------------------------------------------------------------------
 
 
@@ -1036,7 +1073,7 @@ def test_libraries_do_not_speak_for_themselves(desk):
 
 
 def test_debug_shows_a_traceback(desk):
-    run = desk.run("stack", "nowhere.png", "-o", "out.png", "--debug")
+    run = desk.run("stack", "nowhere.png", "-o", "out.png", "--debug", process=True)
     assert run.code != 0
     assert "Traceback" in run.stderr
     assert "InputError" in run.stderr

@@ -152,15 +152,15 @@ def test_an_empty_no_color_says_nothing(desk):
 def test_forced_colours(desk, name):
     plain = desk.makes("hues", "a.png").stdout
     for value, colored in (("1", True), ("3", True), ("0", False), ("", False)):
-        run = desk.run("hues", "a.png", through=["env", f"{name}={value}"])
+        run = desk.run("hues", "a.png", env={name: value})
         assert (b"\x1b" in run.stdout) == colored
         assert colored or run.stdout == plain
-    both = desk.run("hues", "a.png", through=["env", f"{name}=1", "NO_COLOR=1"])
+    both = desk.run("hues", "a.png", env={name: "1", "NO_COLOR": "1"})
     assert both.stdout == plain
 
 
 def test_a_file_has_no_colours_whatever_the_environment(desk):
-    run = desk.run("hues", "a.png", "-o", "a.txt", through=["env", "FORCE_COLOR=1", "COLUMNS=40"])
+    run = desk.run("hues", "a.png", "-o", "a.txt", env={"FORCE_COLOR": "1", "COLUMNS": "40"})
     assert (run.code, (desk / "a.txt").read_bytes()) == (0, expected("text", desk / "a.png"))
 
 
@@ -173,7 +173,7 @@ def test_a_chart_is_as_wide_as_the_terminal(desk, width):
 
 
 def test_columns_of_a_pipe(desk):
-    run = desk.run("hues", "a.png", through=["env", "COLUMNS=50"])
+    run = desk.run("hues", "a.png", env={"COLUMNS": "50"})
     assert run.stdout == expected("text", desk / "a.png", columns=50)
 
 
@@ -193,7 +193,7 @@ def test_svg_on_a_terminal_that_asks_for_it(desk):
 
 
 def test_letters_that_stdout_does_not_have(desk):
-    run = desk.run("hues", "a.png", through=["env", "PYTHONIOENCODING=ascii"])
+    run = desk.run("hues", "a.png", env={"PYTHONIOENCODING": "ascii"})
     assert run.code == 0
     assert run.stdout == expected("text", desk / "a.png", encoding="ascii")
 

@@ -606,7 +606,7 @@ def test_colours_on_a_terminal_and_not_in_a_pipe(desk):
     assert "▀" in sent
     _, plain, _ = on_terminal(desk, "palette", *ARGUMENTS, NO_COLOR="1")
     assert plain.encode() == render("text", palette, columns=90)
-    forced = desk.run("palette", *ARGUMENTS, through=["env", "FORCE_COLOR=1"])
+    forced = desk.run("palette", *ARGUMENTS, env={"FORCE_COLOR": "1"})
     assert forced.stdout == render("text", palette, color=True)
     code, sent, error = on_terminal(desk, "palette", *ARGUMENTS, "--format", "png")
     assert (code, sent) == (2, "")

@@ -1,4 +1,4 @@
-"""The installed `hpcomp` command in a subprocess, as a shell runs it, and folders to run it in."""
+"""The installed `hpcomp` command, in this process or as a shell runs it, and folders to run it in."""
 
 from __future__ import annotations
 
@@ -16,6 +16,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import inprocess
+
+from hpcomp import engine, sourcedate
+
 COMMAND = Path(sys.executable).with_name("hpcomp")
 
 #: Far longer than any run takes, far shorter than a night.
@@ -27,6 +31,9 @@ OLD = b"what stood here"
 
 #: Variables that say what a terminal can show.
 TERMINAL = {"NO_COLOR", "FORCE_COLOR", "CLICOLOR", "CLICOLOR_FORCE", "COLUMNS", "LINES", "TERM"}
+
+#: Variables that are asked for during a run; others may be read when a process starts alone.
+ASKED = {engine.VARIABLE, sourcedate.VARIABLE, "TMPDIR", *TERMINAL}
 
 
 @dataclass(frozen=True)
@@ -49,8 +56,18 @@ def hpcomp(
     env: Mapping[str, str] | None = None,
     through: Sequence[str | Path] = (),
     umask: int = -1,
+    process: bool = False,
 ) -> Run:
-    """Runs the command and waits; `through` is a command that is to start it."""
+    """Runs the command, and waits where it has a process of its own.
+
+    `process`: that is what the test is about. It has one as well where another command is to start
+    it, `through`, and where variables are set that a process may read when it starts.
+    """
+    if not (process or through or (env or {}).keys() - ASKED):
+        code, stdout, stderr = inprocess.invoke(
+            [os.fsdecode(argument) for argument in command(*arguments)[1:]], stdin, cwd, env, umask
+        )
+        return Run(code, stdout, stderr.decode())
     done = subprocess.run(
         command(*arguments, through=through),
         input=stdin,
