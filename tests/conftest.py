@@ -1,4 +1,4 @@
-"""What every test file shares: the Hypothesis profile and the engines. Strategies live beside it."""
+"""What every test file shares: what the plain run leaves out, the Hypothesis profile, the engines."""
 
 import functools
 import os
@@ -7,6 +7,7 @@ import warnings
 import numpy as np
 import pytest
 from hypothesis import settings
+from pairwise import mark_products
 
 from hpcomp.engine import arrays
 from hpcomp.engine import choice as engine
@@ -17,10 +18,16 @@ with np.printoptions(), warnings.catch_warnings():
     warnings.simplefilter("ignore")
     import colour  # noqa: F401
 
-# Reproducible by default: a failure in CI fails on every machine. `thorough` looks for new cases.
+# Reproducible by default: a failure in CI fails on every machine. The plain run takes `quick`;
+# `thorough` looks for new cases.
 settings.register_profile("default", deadline=None, derandomize=True, max_examples=100)
+settings.register_profile("quick", settings.get_profile("default"), max_examples=20)
 settings.register_profile("thorough", deadline=None, print_blob=True, max_examples=3000)
 settings.load_profile(os.environ.get("HPCOMP_HYPOTHESIS", "default"))
+
+
+def pytest_collection_modifyitems(items):
+    mark_products(items)
 
 
 def composite_by(name, *arguments, **rules):

@@ -18,10 +18,23 @@ python=${PYTHON:-python3}
 PIP_USER=0 "$venv/bin/python" -m pip install --quiet --disable-pip-version-check \
     --config-settings build-dir="$venv/build" "$root[test]"
 
-# Tests of one file share what takes long to make.
-[ $# -gt 0 ] || set -- --numprocesses 2 --dist loadfile
-
 # Not `python -m pytest`, which would import the checkout instead of what was installed.
 cd -- "$root"
 PATH=$venv/bin:$PATH
-exec "$venv/bin/pytest" "$@"
+# Tests of one file share what takes long to make.
+case ${1-} in
+"")
+    export HPCOMP_HYPOTHESIS="${HPCOMP_HYPOTHESIS:-quick}"
+    code=0
+    pytest --numprocesses 2 --dist loadfile -m "not slow and not thorough" || code=$?
+    echo "Slow tests, whole products and more random examples: sh tests/run.sh --all"
+    exit $code
+    ;;
+--all)
+    shift
+    exec pytest --numprocesses 2 --dist loadfile "$@"
+    ;;
+*)
+    exec pytest "$@"
+    ;;
+esac

@@ -18,7 +18,8 @@ from typing import Any
 
 import inprocess
 
-from hpcomp import engine, sourcedate
+from hpcomp.engine import choice as engine
+from hpcomp.system import sourcedate
 
 COMMAND = Path(sys.executable).with_name("hpcomp")
 

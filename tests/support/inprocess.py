@@ -23,8 +23,9 @@ import click
 import numpy as np
 from click.testing import CliRunner
 
-from hpcomp import heldsignals
+
 from hpcomp.cli import run
+from hpcomp.system import signals
 
 
 def invoke(
@@ -109,7 +110,7 @@ def _undone() -> Iterator[None]:
     streams, argv, folder = (sys.stdin, sys.stdout, sys.stderr), sys.argv, os.getcwd()
     temporary, umask = tempfile.tempdir, os.umask(0)
     os.umask(umask)
-    handlers = {number: signal.getsignal(number) for number in heldsignals.ENDING}
+    handlers = {number: signal.getsignal(number) for number in signals.ENDING}
     mask = signal.pthread_sigmask(signal.SIG_BLOCK, ())
     log = logging.getLogger("hpcomp")
     told, level = list(log.handlers), log.level
