@@ -558,6 +558,7 @@ def noise(desk):
     return desk
 
 
+@pytest.mark.pairwise
 @pytest.mark.parametrize("ending", ENDINGS)
 @pytest.mark.parametrize("blocks", [0, 16])
 @pytest.mark.parametrize("threads", [1, 2])
@@ -690,6 +691,7 @@ def test_a_signal_waits_for_the_import_of_an_extension(tmp_path):
     assert (done.returncode, done.stdout, done.stderr) == (0, "True\n", "")
 
 
+@pytest.mark.pairwise
 @pytest.mark.parametrize("number", list(SIGNALS), ids=lambda number: number.name)
 @pytest.mark.parametrize("threads", [1, 2])
 @pytest.mark.parametrize("options", [["png", "0"], ["exr", "none"]], ids=ENDINGS)

@@ -63,6 +63,7 @@ def by_oracle(path, **settings):
 # ---- the same as others give ----------------------------------------------------------------
 
 
+@pytest.mark.pairwise
 @pytest.mark.parametrize("tile", [None, (8, 5)])
 @pytest.mark.parametrize("compression", ["none", "rle", "zips"])
 @pytest.mark.parametrize("color", ["f2", "f4"])

@@ -129,6 +129,7 @@ def peak(files, tmp_path):
 # ---- the budget -----------------------------------------------------------------------------
 
 
+@pytest.mark.pairwise
 @pytest.mark.parametrize("threads", [1, 2])
 @pytest.mark.parametrize("ending", ENDINGS)
 @pytest.mark.parametrize("name", ["wide.png", "wide.exr"])
@@ -270,6 +271,7 @@ def told(request, tmp_path):
     return "--report", tmp_path / f"told.{request.param}"
 
 
+@pytest.mark.pairwise
 @pytest.mark.parametrize("threads", [1, 2])
 @pytest.mark.parametrize("name", ["wide.png", "wide.exr"])
 def test_reports_of_four_layers_stay_in_the_budget(peak, told, name, threads):

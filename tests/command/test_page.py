@@ -454,6 +454,7 @@ FAINT = """
 """
 
 
+@pytest.mark.pairwise
 @needs_browser
 @pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
 @pytest.mark.parametrize("width", [360, 1280])

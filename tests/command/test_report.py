@@ -328,6 +328,7 @@ def test_the_least_share_is_seen():
     assert min(h for h in heights if h) == 1
 
 
+@pytest.mark.pairwise
 @pytest.mark.parametrize("columns", [1, 30, 60, 80, 120, 500])
 @pytest.mark.parametrize("bins", [6, 36, 100, 360, 3600])
 @pytest.mark.parametrize("color", [False, True])

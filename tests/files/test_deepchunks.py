@@ -61,6 +61,7 @@ def refused(content, tmp_path, *says, error=InputError, **options):
 # ---- what is read ---------------------------------------------------------------------------
 
 
+@pytest.mark.pairwise
 @pytest.mark.parametrize("tile", TILES)
 @pytest.mark.parametrize("compression", PACKINGS)
 @pytest.mark.parametrize(("color", "depth"), [("f4", "f4"), ("f2", "f2"), ("f2", "u4")])

@@ -486,6 +486,7 @@ def test_exr_is_premultiplied_linear_and_kept_exactly(exr, dtype, tile):
     assert found[0, 1].tolist() == [0.25, 0.5, 1.0, 0.0]
 
 
+@pytest.mark.pairwise
 @pytest.mark.parametrize("tile", [None, (16, 8)], ids=["scanline", "tiled"])
 @pytest.mark.parametrize("dtype", [np.float16, np.float32], ids=["half", "float"])
 @pytest.mark.parametrize("compression", exrfile.COMPRESSIONS)

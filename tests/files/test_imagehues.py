@@ -24,6 +24,7 @@ def exr(path, pixels, **options):
     return exrfile.write(path, planes, **options)
 
 
+@pytest.mark.pairwise
 @pytest.mark.parametrize("threads", [1, 2, 5])
 @pytest.mark.parametrize("height", [1, 64, 65, 300])
 @pytest.mark.parametrize("compression", ["none", "zip", "dwab"])

@@ -159,6 +159,7 @@ def test_narrow_range(tmp_path, colour, depth, black, white):
 HDR = {"PQ": 16, "HLG": 18}
 
 
+@pytest.mark.pairwise
 @pytest.mark.parametrize("full_range", [0, 1])
 @pytest.mark.parametrize("primaries", [1, 9, 12])
 @pytest.mark.parametrize("name", HDR)

@@ -133,6 +133,7 @@ class TestPixels:
             write(tmp_path / "a.png", samples, compression)
             assert_reads_as(tmp_path / "a.png", samples)
 
+    @pytest.mark.pairwise
     @pytest.mark.parametrize("depth", DTYPES)
     @pytest.mark.parametrize("compression", ["fast", "small", "0", "6"])
     @pytest.mark.parametrize("size", [(1200, 131), (40, 3500), (30_000, 70)], ids=str)

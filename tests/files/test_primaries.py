@@ -176,6 +176,7 @@ def test_weights_are_those_of_the_primaries(name):
     assert not p.any()
 
 
+@pytest.mark.pairwise
 @pytest.mark.parametrize("order", ["bottom-up", "top-down", "balanced", "simultaneous"])
 @pytest.mark.parametrize("name", NAMES)
 def test_composites_are_those_of_the_oracle(name, order, monkeypatch, composite):
@@ -544,6 +545,7 @@ def test_its_profile_is_that_of_the_fixture(tmp_path, mixed, name):
         assert np.abs(numbers[0] - numbers[1]).max() <= 1
 
 
+@pytest.mark.pairwise
 @pytest.mark.parametrize("engine_name", engine.NAMES)
 @pytest.mark.parametrize("working", [*NAMES, "bottom"])
 @pytest.mark.parametrize("name", WIDE)

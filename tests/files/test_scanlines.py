@@ -591,6 +591,7 @@ class TestPng:
                 assert same(layer.rows(), png.samples.astype(f"u{png.depth // 8}"))
                 assert same(layer.rows(), layer.by_openimageio())
 
+    @pytest.mark.pairwise
     @pytest.mark.parametrize("depth", [8, 16])
     @pytest.mark.parametrize(
         "colour", [pngfile.GREY, pngfile.RGB, pngfile.GREY_ALPHA, pngfile.RGBA]
@@ -930,6 +931,7 @@ class TestWrittenExr:
         data = written(tmp_path / "out.exr", samples, form_of(samples, compression))
         assert len(data) < 0.5 * samples.nbytes
 
+    @pytest.mark.pairwise
     @pytest.mark.parametrize("kind", DTYPES)
     @pytest.mark.parametrize("compression", COMPRESSIONS)
     @pytest.mark.parametrize("aspect", [1.0, 2.0, 0.7])

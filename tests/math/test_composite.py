@@ -94,6 +94,7 @@ class TestEngineIsTheOracle:
             for pixel in layers.swapaxes(0, 1).tolist()
         ]
 
+    @pytest.mark.pairwise
     @pytest.mark.parametrize("order", ORDERS)
     @pytest.mark.parametrize("blending", BLENDING_NAMES)
     @pytest.mark.parametrize("op", OPERATOR_NAMES)
@@ -113,6 +114,7 @@ class TestEngineIsTheOracle:
         size = 1 + np.abs(layers).max(axis=-1).sum(axis=0)[:, None]
         assert_near(actual, expected, tolerance, size)
 
+    @pytest.mark.pairwise
     @pytest.mark.parametrize("gray_bias", [0.01, 0.3, 1.0])
     @pytest.mark.parametrize("order", ORDERS)
     @pytest.mark.parametrize(
@@ -127,6 +129,7 @@ class TestEngineIsTheOracle:
         size = 1 + np.abs(layers).max(axis=-1).sum(axis=0)[:, None]
         assert_near(actual, expected, tolerance, size)
 
+    @pytest.mark.pairwise
     @pytest.mark.parametrize("hue_tolerance", [0.0, 0.5, 10.0])
     @pytest.mark.parametrize("order", ORDERS)
     def test_other_tolerances(self, composite, order, hue_tolerance):
@@ -154,6 +157,7 @@ class TestEngineIsTheOracle:
         assert actual.dtype == np.float32
         assert_near(actual, oracle.composite(**job), FLOAT32, size)
 
+    @pytest.mark.pairwise
     @pytest.mark.parametrize(
         ("dtype", "tolerance"),
         [(np.float64, FLOAT64), (np.float32, FLOAT32)],
@@ -218,6 +222,7 @@ class TestEngineIsTheOracle:
 class TestRulesBesideThePaper:
     """What holds for every rule: exact luminance, and nothing leaves the gamut."""
 
+    @pytest.mark.pairwise
     @given(data=st.data())
     def test_luminance_adds_and_nothing_leaves_the_gamut(self, composite, rules, dtype, data):
         layers = data.draw(stacks(hdr=False))
@@ -257,6 +262,7 @@ class TestForemost:
             key=lambda name: oracle.angle(d, oracle.difference(THREE_LABELS[name][:3])),
         )
 
+    @pytest.mark.pairwise
     @pytest.mark.parametrize("dtype", [np.float32, np.float64])
     @pytest.mark.parametrize(
         ("ops", "expected"),
@@ -304,6 +310,7 @@ class TestForemost:
         }
         assert len(results) == 1
 
+    @pytest.mark.pairwise
     @pytest.mark.parametrize("dtype", [np.float32, np.float64])
     @pytest.mark.parametrize("tint", [1e-2, 1e-4, 1e-6, 1e-30])
     def test_the_least_tint_in_front_flips_the_hue(self, composite, tint, dtype):
@@ -385,6 +392,7 @@ class TestOneLayer:
             result = composite([np.array(layer)], order=order, blending=blending)
             assert_near(result, layer, ROUNDING, size_of([layer]))
 
+    @pytest.mark.pairwise
     @pytest.mark.parametrize("order", ORDER_NAMES)
     @pytest.mark.parametrize(("dtype", "digits"), [(np.float32, 1e-6), (np.float64, ROUNDING)])
     def test_a_thin_one_keeps_its_ratio_of_colour_to_alpha(self, composite, order, dtype, digits):
@@ -507,6 +515,7 @@ class TestReading:
 class TestArrays:
     ORDERS = (*ORDER_NAMES, "2,0,1")
 
+    @pytest.mark.pairwise
     @pytest.mark.parametrize("order", ORDERS)
     @pytest.mark.parametrize("shape", [(), (1,), (7,), (3, 5), (2, 3, 4), (0,), (3, 0), (0, 2)])
     def test_any_leading_shape(self, composite, shape, order):
@@ -538,6 +547,7 @@ class TestArrays:
         assert composite(layers[:1]).dtype == result_type
         assert composite([np.empty((0, 4), given_type)]).dtype == result_type
 
+    @pytest.mark.pairwise
     @pytest.mark.parametrize("order", ORDERS)
     @pytest.mark.parametrize("dtype", [np.float32, np.float64])
     def test_inputs_are_neither_changed_nor_handed_out(self, composite, dtype, order):
@@ -562,6 +572,7 @@ class TestArrays:
         expected = composite([view.copy() for view in views], order=order)
         assert composite(list(views), order=order).tobytes() == expected.tobytes()
 
+    @pytest.mark.pairwise
     @pytest.mark.parametrize("order", ORDERS)
     @pytest.mark.parametrize("dtype", [np.float32, np.float64])
     def test_pixels_do_not_depend_on_their_block(self, composite, dtype, order):
@@ -631,6 +642,7 @@ class TestArguments:
         with pytest.raises(SettingError):
             composite(self.LAYERS, op=op)
 
+    @pytest.mark.pairwise
     @pytest.mark.parametrize("order", ORDER_NAMES)
     @pytest.mark.parametrize("blending", BLENDING_NAMES)
     def test_a_layer_above_the_bottom_needs_an_operator(self, composite, blending, order):

@@ -57,6 +57,7 @@ def assert_agrees(rules, layers):
     return found
 
 
+@pytest.mark.pairwise
 @pytest.mark.parametrize("gray_bias", [0, 0.4])
 @pytest.mark.parametrize("hue_tolerance", TOLERANCES)
 @pytest.mark.parametrize("kind", ["anywhere", "labels", "a band", "one"])

@@ -99,6 +99,7 @@ def by_each_engine(request, monkeypatch):
     monkeypatch.setenv(engine.VARIABLE, request.param)
 
 
+@pytest.mark.pairwise
 @pytest.mark.usefixtures("by_each_engine")
 @pytest.mark.parametrize("order", ORDER_NAMES)
 @pytest.mark.parametrize("blending", [name for name in BLENDING_NAMES if name != "foremost"])

@@ -130,6 +130,7 @@ class TestAgreement:
         assert all(layer.transparent > 20 for layer in found.layers)
         assert found.result.occupied > 100
 
+    @pytest.mark.pairwise
     @pytest.mark.parametrize("order", ORDERS)
     @pytest.mark.parametrize("blending", BLENDING_NAMES)
     @pytest.mark.parametrize("op", OPERATOR_NAMES)
@@ -208,6 +209,7 @@ class TestAgreement:
         found = assert_agree(stack_rules(4, order=order), strips_of(layers), 700, 3)
         assert (found.measures.unmeasured > 0) == (size >= 1e18)  # 2**60
 
+    @pytest.mark.pairwise
     @pytest.mark.parametrize("zero", [False, True])
     @pytest.mark.parametrize("dtype", [np.float32, np.float16])
     @pytest.mark.parametrize("order", ORDERS)
@@ -254,6 +256,7 @@ class TestAgreement:
         assert_agree(rules, [empty, *strips_of(LAYERS[1:])], 700, 3)
         assert_agree(rules, [empty] * 4, 700, 3)
 
+    @pytest.mark.pairwise
     @pytest.mark.parametrize("mode", MODES)
     @pytest.mark.parametrize("channels", [1, 2, 3, 4])
     @pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float16, np.float32])

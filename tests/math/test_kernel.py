@@ -231,12 +231,14 @@ class TestAgreement:
         assert 0.2 < shoulder < 0.8
         assert 0.5 < all_have_hue(rules, self.LAYERS).mean() < 1
 
+    @pytest.mark.pairwise
     @pytest.mark.parametrize("order", ORDERS)
     @pytest.mark.parametrize("blending", BLENDING_NAMES)
     @pytest.mark.parametrize("op", OPERATOR_NAMES)
     def test_operator_blending_order(self, op, blending, order):
         assert_engines_agree(stack_rules(4, op=op, blending=blending, order=order), self.LAYERS)
 
+    @pytest.mark.pairwise
     @pytest.mark.parametrize("background", [None, (0.9, 0.1, 0.2)])
     @pytest.mark.parametrize("order", ORDERS)
     @pytest.mark.parametrize("space", [name for name in SPACES if name != "linear-rgb"])
@@ -278,6 +280,7 @@ class TestAgreement:
         rules = stack_rules(n_layers, op=[None, *ops], order=order)
         assert_engines_agree(rules, layers_of_labels(n_layers, 2, 600))
 
+    @pytest.mark.pairwise
     @pytest.mark.parametrize("exposure", [-30.0, -1.5, 0.5, 20.0])
     @pytest.mark.parametrize("background", [None, (0.9, 0.1, 0.2), (0.5, 0.5, 0.5)])
     @pytest.mark.parametrize("order", ["bottom-up", "top-down", "simultaneous"])
@@ -338,6 +341,7 @@ SOME_PRIMARIES = [PRIMARIES[name] for name in ("rec709", "display-p3", "acescg")
 class TestSamples:
     """One layer alone is not added to anything: both engines must agree to the bit."""
 
+    @pytest.mark.pairwise
     @pytest.mark.parametrize("mode", MODES)
     @pytest.mark.parametrize("channels", [1, 2, 3, 4])
     @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
@@ -358,6 +362,7 @@ class TestSamples:
             if channels == 2 and mode != "luminance":
                 assert np.array_equal(alpha, (samples[..., 1] / largest).astype(np.float32))
 
+    @pytest.mark.pairwise
     @pytest.mark.parametrize("mode", MODES)
     @pytest.mark.parametrize("channels", [1, 2, 3, 4])
     @pytest.mark.parametrize("dtype", [np.float16, np.float32])
@@ -472,6 +477,7 @@ class TestSamples:
 class TestNonfinite:
     LAYERS = broken(layers_of_labels(4, 3, 700))
 
+    @pytest.mark.pairwise
     @pytest.mark.parametrize("kind", OUTPUT_TYPES)
     @pytest.mark.parametrize("mode", MODES)
     @pytest.mark.parametrize("dtype", [np.float16, np.float32])
@@ -774,6 +780,7 @@ class TestOutput:
             assert np.array_equal(result.samples[0], samples)
             assert result.losses == Losses()
 
+    @pytest.mark.pairwise
     @pytest.mark.parametrize("space", SPACES)
     @pytest.mark.parametrize("kind", ["uint8", "uint16"])
     @pytest.mark.parametrize("order", ORDERS)
@@ -828,6 +835,7 @@ class TestBytes:
         assert kernel.levels()[0] == "baseline"
         assert len(set(kernel.levels())) == len(kernel.levels())
 
+    @pytest.mark.pairwise
     @pytest.mark.parametrize("layers", ["LAYERS", "BROKEN"])
     @pytest.mark.parametrize("order", ORDERS)
     @pytest.mark.parametrize("op", ["over", "plus", "xor", "dst-atop"])
@@ -883,6 +891,7 @@ class TestBytes:
             together = run_arrays(kernel, rules, layers, at_once=at_once)
             assert together.everything == one_by_one.everything
 
+    @pytest.mark.pairwise
     @pytest.mark.parametrize("space", ["linear-rgb", "hsl", "oklab", "cielab"])
     @pytest.mark.parametrize("order", ORDERS)
     @pytest.mark.parametrize("kind", OUTPUT_TYPES)

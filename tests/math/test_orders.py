@@ -323,6 +323,7 @@ class TestSimultaneous:
         result = composite(layers, op=op, order="simultaneous")
         assert composite(more, op=op, order="simultaneous").tolist() == result.tolist()
 
+    @pytest.mark.pairwise
     @pytest.mark.parametrize(("dtype", "tiny"), [(np.float64, 1e-310), (np.float32, 1e-40)])
     @pytest.mark.parametrize("hue_tolerance", HUE_TOLERANCES)
     def test_subnormal_terms(self, composite, dtype, tiny, hue_tolerance):
@@ -394,6 +395,7 @@ class TestGrayBias:
         result = simultaneous(composite, colors, gray_bias=gray_bias)
         assert_near(result, expected + len(colors), FLOAT64, size_of(colors))
 
+    @pytest.mark.pairwise
     @pytest.mark.parametrize("order", ORDER_NAMES)
     @pytest.mark.parametrize("gray_bias", [0.0, 0.2, 1.0])
     def test_continuous_along_random_paths(self, composite, order, gray_bias):

@@ -93,6 +93,7 @@ class TestEverySpace:
         assert_near(luminance_k, k * luminance, ROUNDING, k * size(c))
         assert_near(p_k, k * np.array(p), ROUND_TRIP, k * size(c))
 
+    @pytest.mark.pairwise
     @pytest.mark.parametrize("dtype", [np.float32, np.float64])
     @pytest.mark.parametrize("shape", [(0,), (1,), (5,), (2, 3)])
     def test_planes_first_any_shape_and_type(self, name, shape, dtype):

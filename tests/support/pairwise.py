@@ -30,7 +30,18 @@ def mark_products(items: Iterable[pytest.Item]) -> None:
         if item.get_closest_marker("pairwise"):
             products.setdefault(item.nodeid.partition("[")[0], []).append(item)
     for product in products.values():
-        kept = set(covering([tuple(item.callspec.indices.values()) for item in product]))
+        kept = set(covering([values(item) for item in product]))
         for number, item in enumerate(product):
             if number not in kept:
                 item.add_marker(pytest.mark.thorough)
+
+
+def values(item: pytest.Function) -> list[Hashable]:
+    """What tells a value of each parameter from others; names set together are one parameter."""
+    params = {name: id(value) for name, value in item.callspec.params.items()}
+    found: list[Hashable] = []
+    for mark in item.iter_markers("parametrize"):
+        names = mark.args[0] if mark.args else mark.kwargs["argnames"]
+        names = names.replace(" ", "").split(",") if isinstance(names, str) else names
+        found.append(tuple(params.pop(name) for name in names))
+    return [*found, *params.values()]
