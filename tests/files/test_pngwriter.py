@@ -1,11 +1,9 @@
-"""The PNG files that are written: read back by four readers, chunk by chunk, and how they fail."""
+"""The PNG files that are written: read back by four readers, and chunk by chunk."""
 
 from __future__ import annotations
 
-import errno
 import itertools
 import os
-import resource
 import shutil
 import struct
 import subprocess
@@ -17,15 +15,12 @@ import numpy as np
 import OpenImageIO as oiio
 import pngfile
 import pytest
-from command import OLD, Desk, shell
 from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
 
 import hpcomp
-from hpcomp.errors import OutputError
 from hpcomp.geometry import Window
-from hpcomp.imagefile import segments
 from hpcomp.imagefile.header import PictureHeader
 from hpcomp.imagefile.pngwriter import COMPRESSIONS, PngWriter
 
@@ -382,104 +377,3 @@ class TestSizes:
         samples = noise(300, 200, 8)
         raw = 200 * (1 + 4 * 300)
         assert raw < len(write(tmp_path / "a.png", samples, "0")) < 1.001 * raw + 400
-
-
-# ---- failures ----------------------------------------------------------------------------------
-
-
-class Failing:
-    """A file whose `at`-th call of `write` or `close`, counted from 0, fails."""
-
-    def __init__(self, at):
-        self.at, self.calls, self.closed = at, 0, False
-
-    def _call(self):
-        self.calls += 1
-        if self.calls > self.at:
-            raise OSError(errno.EIO, os.strerror(errno.EIO))
-
-    def write(self, data):
-        self._call()
-        return len(data)
-
-    def close(self):
-        if not self.closed:
-            self.closed = True
-            self._call()
-
-
-def calls_of_a_whole_run(monkeypatch, samples):
-    file = Failing(10**9)
-    monkeypatch.setattr(segments, "open", lambda *_: file, raising=False)
-    write(os.devnull, samples)
-    return file.calls
-
-
-class TestFailures:
-    def test_of_any_call(self, monkeypatch):
-        """Wherever it strikes: an `OutputError` with the system's reason, and a closed file."""
-        samples = noise(1200, 70, 8)
-        calls = calls_of_a_whole_run(monkeypatch, samples)
-        assert calls > 20
-        for at in range(calls):
-            file = Failing(at)
-            monkeypatch.setattr(segments, "open", lambda *_, file=file: file, raising=False)
-            opened = None
-            with pytest.raises(OutputError) as caught:  # noqa: PT012
-                opened = writer(os.devnull, samples)
-                opened.write(opened.prepare(0, samples[:64]))
-                opened.write(opened.prepare(64, samples[64:]))
-                opened.finish()
-            assert "out.png: cannot be written: input/output error" in str(caught.value)
-            assert caught.value.exit_code == 5
-            if opened is not None:
-                opened.abandon()
-                opened.abandon()
-                assert file.closed
-
-    def test_of_opening(self, tmp_path):
-        with pytest.raises(OutputError, match=r"out\.png: cannot be written: no such file"):
-            writer(tmp_path / "gone" / "a.png", noise(1, 1, 8))
-
-    @pytest.mark.parametrize("size", [(2, 2), (600, 300)])
-    def test_a_full_device(self, size):
-        """A small picture waits in a buffer until the end, a large one does not."""
-        samples = noise(*size, 8)
-        opened = None
-        with pytest.raises(OutputError, match=r"out\.png: .*no space left on device"):  # noqa: PT012
-            opened = writer("/dev/full", samples)
-            opened.write(opened.prepare(0, samples))
-            opened.finish()
-        if opened is not None:
-            opened.abandon()
-
-    @pytest.mark.parametrize("limit", [0, 100, 10_000])
-    def test_a_limit_on_the_size_of_files(self, tmp_path, limit):
-        path = tmp_path / "out.png"
-        path.write_bytes(OLD)
-        pixels = np.random.default_rng(0).random((100, 100, 4))
-        before = resource.getrlimit(resource.RLIMIT_FSIZE)
-        resource.setrlimit(resource.RLIMIT_FSIZE, (limit, before[1]))
-        try:
-            with pytest.raises(OutputError, match=r"out\.png: cannot be written: file too large"):
-                hpcomp.write_image(path, pixels)
-        finally:
-            resource.setrlimit(resource.RLIMIT_FSIZE, before)
-        assert path.read_bytes() == OLD
-        assert os.listdir(tmp_path) == ["out.png"]
-
-    def test_it_is_exit_5_and_the_output_stays_what_it_was(self, tmp_path):
-        desk = Desk.made(tmp_path)
-        png = pngfile.rgba_png(noise(300, 300, 8))
-        desk.put("a.png", png.encode())
-        desk.put("out.png", OLD)
-        desk.refuses(
-            5, "stack", "a.png", "-o", "out.png",
-            through=shell('ulimit -f 16; exec "$@"'), says=["out.png", "file too large"],
-        )  # fmt: skip
-
-    def test_abandoned_in_the_middle(self, tmp_path):
-        opened = writer(tmp_path / "a.png", noise(1200, 131, 8))
-        opened.write(opened.prepare(0, noise(1200, 131, 8)[:10]))
-        opened.abandon()
-        opened.abandon()

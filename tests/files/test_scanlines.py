@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import contextlib
-import errno
-import io
 import json
 import os
-import resource
 import struct
 import subprocess
 import sys
@@ -21,14 +18,14 @@ import numpy as np
 import OpenImageIO as oiio
 import pngfile
 import pytest
-from command import OLD, PATIENCE_S, Desk, shell
+from command import PATIENCE_S, Desk
 from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
 
 import hpcomp
-from hpcomp import InputError, MismatchError, OutputError, Window
-from hpcomp.imagefile import description, exrscanlines, packing, pngheader, pngscanlines, segments
+from hpcomp import InputError, MismatchError, Window
+from hpcomp.imagefile import description, exrscanlines, packing, pngheader, pngscanlines
 from hpcomp.imagefile.description import describe
 from hpcomp.imagefile.exrscanlines import COMPRESSIONS, ExrForm, ExrScanlineWriter
 from hpcomp.imagefile.header import PictureHeader
@@ -1014,88 +1011,6 @@ class TestWrittenExr:
         before = samples.tobytes()
         written(tmp_path / "out.exr", samples, form_of(samples, "zip"))
         assert samples.tobytes() == before
-
-
-class Failing(io.BytesIO):
-    """A file whose `at`-th call, counted from 0, fails, and all behind it."""
-
-    def __init__(self, at):
-        super().__init__()
-        self.at, self.calls, self.done = at, 0, False
-
-    def _count(self):
-        self.calls += 1
-        if self.calls > self.at:
-            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
-    def write(self, data):
-        self._count()
-        return super().write(data)
-
-    def seek(self, *where):
-        self._count()
-        return super().seek(*where)
-
-    def close(self):
-        if not self.done:
-            self.done = True
-            self._count()
-
-
-class TestWrittenExrFailures:
-    @pytest.mark.parametrize("compression", COMPRESSIONS)
-    def test_of_any_call(self, monkeypatch, compression):
-        """Wherever it strikes: an `OutputError` with the system's reason, and a closed file."""
-        samples = rgba(9, 40, np.float16)
-
-        def attempt_to_write(at):
-            file = Failing(at)
-            monkeypatch.setattr(segments, "open", lambda *_: file, raising=False)
-            opened = None
-            try:
-                opened = ExrScanlineWriter("any", form_of(samples, compression), "out.exr")
-                opened.write(opened.prepare(0, samples[:20]))
-                opened.write(opened.prepare(20, samples[20:]))
-                opened.finish()
-            finally:
-                if opened is not None:
-                    opened.abandon()
-                    assert file.done
-            return file.calls
-
-        calls = attempt_to_write(10**9)
-        assert calls > 4
-        for at in range(calls):
-            with pytest.raises(OutputError, match=r"^out\.exr: cannot be written: no space left"):
-                attempt_to_write(at)
-
-    def test_of_opening(self, tmp_path):
-        samples = rgba(1, 1, np.float16)
-        with pytest.raises(OutputError, match=r"^out\.exr: cannot be written: no such file"):
-            ExrScanlineWriter(str(tmp_path / "gone" / "a.exr"), form_of(samples, "zip"), "out.exr")
-
-    @pytest.mark.parametrize("limit", [0, 100, 10_000])
-    def test_a_limit_on_the_size_of_files(self, tmp_path, limit):
-        path = put(tmp_path / "out.exr", OLD)
-        pixels = np.random.default_rng(0).random((100, 100, 4))
-        before = resource.getrlimit(resource.RLIMIT_FSIZE)
-        resource.setrlimit(resource.RLIMIT_FSIZE, (limit, before[1]))
-        try:
-            with pytest.raises(OutputError, match=r"out\.exr: cannot be written: file too large"):
-                hpcomp.write_image(path, pixels)
-        finally:
-            resource.setrlimit(resource.RLIMIT_FSIZE, before)
-        assert path.read_bytes() == OLD
-        assert os.listdir(tmp_path) == ["out.exr"]
-
-    def test_it_is_exit_5_and_the_output_stays_what_it_was(self, tmp_path):
-        desk = Desk.made(tmp_path)
-        put(desk / "a.png", pngfile.random_png(pngfile.RGBA, 8, width=200, height=200))
-        desk.put("out.exr", OLD)
-        desk.refuses(
-            5, "stack", "a.png", "-o", "out.exr",
-            through=shell('ulimit -f 16; exec "$@"'), says=["out.exr", "file too large"],
-        )  # fmt: skip
 
     def test_to_a_pipe(self, tmp_path):
         """A pipe has no table to go back to: the file is made elsewhere first."""

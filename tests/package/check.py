@@ -140,7 +140,8 @@ def check_contents(sdist: Path, wheel: Path, python: Python) -> None:
         assert any(name.match(pattern) for name in names), f"the wheel lacks {pattern}"
     share = Path(f"{stem}.data/data/share")
     pages = {share / name for name in tracked if re.fullmatch(r"man/man\d/.*", name)}
-    assert pages and pages <= set(names), f"the wheel lacks {sorted(pages - set(names))}"
+    assert pages, "no man page is tracked"
+    assert pages <= set(names), f"the wheel lacks {sorted(pages - set(names))}"
     modules = {Path(name) for name in tracked if re.fullmatch(r"hpcomp/.*\.py", name)}
     assert modules <= set(names), f"the wheel lacks {sorted(modules - set(names))}"
     allowed = {".py", ".so", ".typed", ".css", ".js", ".1", ".5", ".7"}

@@ -23,7 +23,6 @@ import click
 import numpy as np
 from click.testing import CliRunner
 
-
 from hpcomp.cli import run
 from hpcomp.system import signals
 
