@@ -27,21 +27,13 @@ from hpcomp.report.hueformats import REPORT_FORMATS
 FIGURES = [name for name, row in REPORT_FORMATS.items() if row.module == ".huefigure"]
 
 
-def picture(*colors, size=(12, 8)):
-    """An opaque PNG, a band of each colour."""
-    rgba = np.zeros((size[1], size[0], 4), np.uint8)
-    for number, band in enumerate(np.array_split(rgba, len(colors), axis=1)):
-        band[:] = (*colors[number], 255)
-    return pngfile.rgba_png(rgba).encode()
-
-
 @pytest.fixture
 def desk(tmp_path, monkeypatch):
     for name in TERMINAL:
         monkeypatch.delenv(name, raising=False)
     desk = Desk.made(tmp_path)
-    desk.put("a.png", picture((255, 0, 0), (0, 255, 0), (90, 90, 90)))
-    desk.put("b.png", picture((0, 0, 255), (255, 0, 0)))
+    desk.put("a.png", pngfile.bands((255, 0, 0), (0, 255, 0), (90, 90, 90)))
+    desk.put("b.png", pngfile.bands((0, 0, 255), (255, 0, 0)))
     exrfile.write(desk / "c.exr", exrfile.planes("RGBA", 20, 90))
     return desk
 

@@ -341,22 +341,15 @@ def test_settings_that_make_no_sense(labels, settings, message):
         hpcomp.palette(labels, **settings)
 
 
-def stored(*bands, alpha=255):
-    rgba = np.zeros((8, 12, 4), np.uint8)
-    for number, band in enumerate(np.array_split(rgba, len(bands), axis=1)):
-        band[:] = (*bands[number], alpha)
-    return pngfile.rgba_png(rgba).encode()
-
-
 @pytest.fixture
 def desk(tmp_path, monkeypatch):
     for name in TERMINAL:
         monkeypatch.delenv(name, raising=False)
     desk = Desk.made(tmp_path)
     monkeypatch.chdir(desk.folder)
-    desk.put("roads.png", stored((228, 26, 28), alpha=100))
-    desk.put("two.png", stored((0, 255, 0), (0, 255, 0), (0, 0, 255)))
-    desk.put("grey.png", stored((90, 90, 90)))
+    desk.put("roads.png", pngfile.bands((228, 26, 28), alpha=100))
+    desk.put("two.png", pngfile.bands((0, 255, 0), (0, 255, 0), (0, 0, 255)))
+    desk.put("grey.png", pngfile.bands((90, 90, 90)))
     return desk
 
 

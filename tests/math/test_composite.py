@@ -19,6 +19,7 @@ from strategies import (
     is_decided,
     jobs,
     operators,
+    rules_of,
     shares,
     stacks,
     valid_color,
@@ -46,17 +47,8 @@ def size_of(layers, background=None):
 
 def run(composite, job, dtype=np.float64, **rules):
     """An engine on the arguments of `oracle.composite`."""
-    return composite(
-        [np.array(layer, dtype) for layer in job["layers"]],
-        op=job["ops"],
-        opacity=job["opacities"],
-        blending=job["blending"],
-        order=job["order"],
-        hue_tolerance=job["hue_tolerance"],
-        gray_bias=job["gray_bias"],
-        background=job["background"],
-        **rules,
-    )
+    layers = [np.array(layer, dtype) for layer in job["layers"]]
+    return composite(layers, **rules_of(job), **rules)
 
 
 def corpus(n_layers, pixels=60, seed=8):

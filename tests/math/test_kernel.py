@@ -24,6 +24,7 @@ from strategies import (
     ORDER_NAMES,
     hue_direction,
     jobs,
+    rules_of,
 )
 
 import hpcomp
@@ -305,16 +306,7 @@ class TestAgreement:
     @given(job=jobs(tolerances=st.sampled_from(HUE_TOLERANCES)))
     def test_anything(self, job):
         # The engines' own rounding of HDR sums is what `test_composite` looks at.
-        rules = stack_rules(
-            len(job["layers"]),
-            op=job["ops"],
-            opacity=job["opacities"],
-            blending=job["blending"],
-            order=job["order"],
-            hue_tolerance=job["hue_tolerance"],
-            gray_bias=job["gray_bias"],
-            background=job["background"],
-        )
+        rules = stack_rules(len(job["layers"]), **rules_of(job))
         assert_engines_agree(rules, np.array(job["layers"], np.float32)[:, None, None])
 
 

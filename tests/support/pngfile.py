@@ -255,6 +255,14 @@ def rgba_png(rgba: np.ndarray, depth: int = 8) -> Png:
     return Png(np.asarray(rgba), RGBA, depth)
 
 
+def bands(*colors, alpha=255, size=(12, 8)):
+    """An 8-bit PNG, upright bands of these colours."""
+    rgba = np.zeros((size[1], size[0], 4), np.uint8)
+    for color, band in zip(colors, np.array_split(rgba, len(colors), axis=1), strict=True):
+        band[:] = (*color, alpha)
+    return rgba_png(rgba).encode()
+
+
 # ---- chunks ---------------------------------------------------------------------------------
 
 

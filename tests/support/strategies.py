@@ -161,6 +161,12 @@ def jobs(draw, tolerances=hue_tolerances, hdr=True):
     }
 
 
+def rules_of(job):
+    """What is asked of the stack of a job, by the names of `hpcomp.composite`."""
+    names = {"ops": "op", "opacities": "opacity"}
+    return {names.get(name, name): value for name, value in job.items() if name != "layers"}
+
+
 def is_decided(layers, ops, opacities=None, blending="foremost", background=None, **more):
     """Whether rounding cannot decide who is foremost: no term has next to no chroma.
 
