@@ -11,7 +11,6 @@ import signal
 import stat
 import subprocess
 import sys
-import time
 import zlib
 
 import click
@@ -22,6 +21,7 @@ import oracle
 import pngfile
 import pytest
 from command import COMMAND, OLD, PATIENCE_S, Desk, command, hpcomp, shell, snapshot
+from processes import SIGNALS, assert_ended, running, temporary_of
 
 import hpcomp as package
 from hpcomp import cli
@@ -608,60 +608,6 @@ def test_full_disk_for_what_comes_from_stdin(noise):
 
 
 # ---- interruptions --------------------------------------------------------------------------
-
-
-# What runs tests in the background may ignore SIGINT, which children then inherit.
-INTERRUPTIBLE = [
-    sys.executable,
-    "-ISc",
-    "import os, signal, sys\n"
-    "signal.signal(signal.SIGINT, signal.SIG_DFL)\n"
-    "os.execv(sys.argv[1], sys.argv[1:])",
-]
-
-
-@contextlib.contextmanager
-def running(desk, *arguments):
-    process = subprocess.Popen(
-        command(*arguments, through=INTERRUPTIBLE),
-        cwd=desk.folder,
-        env={**os.environ, **desk.env},
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-    )
-    try:
-        yield process
-    finally:
-        process.kill()
-        process.communicate()
-
-
-def temporary_of(process, folder, known, at_least=0):
-    """Waits until a new file stands in the folder and has grown to `at_least` bytes; its path."""
-    deadline = time.monotonic() + PATIENCE_S
-    while time.monotonic() < deadline:
-        assert process.poll() is None, process.stderr.read()
-        for path in set(folder.iterdir()) - known:
-            if path.stat().st_size >= at_least:
-                return path
-        time.sleep(0.005)
-    raise AssertionError("the run has not begun to write")
-
-
-SIGNALS = {signal.SIGINT: 130, signal.SIGTERM: 143}
-
-
-def assert_ended(process, number):
-    """It ends by this signal, soon, with a line at most."""
-    stdout, stderr = process.communicate(timeout=PATIENCE_S)
-    assert process.returncode == SIGNALS[number], stderr
-    assert stdout == b""
-    # An empty line keeps the message off the ^C of a terminal.
-    lines = [line for line in stderr.decode().splitlines() if line]
-    assert len(lines) <= 1
-    assert all(line.startswith("hpcomp: ") for line in lines)
-    assert "bug" not in stderr.decode()
 
 
 IMPORTING = """

@@ -19,8 +19,8 @@ import OpenImageIO as oiio
 import pngfile
 import pytest
 from command import OLD, Desk, shell, snapshot
+from processes import assert_ended, running, temporary_of
 from strategies import ORDER_NAMES
-from test_cli import assert_ended, running, temporary_of
 from test_findings import ENGINES, TIES
 
 import hpcomp

@@ -5,7 +5,6 @@ import itertools
 import json
 import struct
 import subprocess
-import sys
 
 import deepfile
 import deeporacle
@@ -17,8 +16,8 @@ import pngfile
 import pytest
 from command import OLD, PATIENCE_S, Desk, command, shell
 from deepfile import Deep, noise, of_pixels
+from processes import NOISE_M, peak
 from strategies import ORDER_NAMES
-from test_memory import MEASURE, MIB, NOISE_M
 
 import hpcomp
 from hpcomp.engine import choice as engine
@@ -218,16 +217,6 @@ def test_little_memory_changes_no_byte(desk):
     assert (desk / "much.exr").read_bytes() == (desk / "little.exr").read_bytes()
 
 
-def peak(arguments):
-    """(MiB, exit code, stderr) of a run."""
-    done = subprocess.run(
-        command("flatten", *arguments, through=[sys.executable, "-ISc", MEASURE]),
-        capture_output=True, text=True, timeout=PATIENCE_S,
-    )  # fmt: skip
-    most, code = done.stdout.split()
-    return int(most) / MIB, int(code), done.stderr
-
-
 @pytest.mark.parametrize("threads", [1, 2])
 @pytest.mark.parametrize(
     "options",
@@ -238,10 +227,10 @@ def test_memory_stays_in_the_budget(tmp_path, threads, options):
     deepfile.write(tmp_path / "tiny.exr", noise(4, 4, 3, **options))
     deepfile.write(tmp_path / "a.exr", noise(1000, 260, 14, **options))
     out = ["-o", tmp_path / "out.exr", "--threads", threads]
-    base, code, stderr = peak([tmp_path / "tiny.exr", *out])
+    base, code, stderr = peak("flatten", tmp_path / "tiny.exr", *out)
     assert (code, stderr) == (0, "")
     for budget in (64, 160):
-        most, code, stderr = peak([tmp_path / "a.exr", *out, "--max-memory", f"{budget}M"])
+        most, code, stderr = peak("flatten", tmp_path / "a.exr", *out, "--max-memory", f"{budget}M")
         assert (code, stderr) == (0, "")
         assert most - base <= budget + NOISE_M
 
@@ -264,8 +253,8 @@ def test_thousands_of_samples_in_one_pixel_stay_in_the_budget(tmp_path, order):
     deepfile.write(tmp_path / "tiny.exr", skewed(3))
     deepfile.write(tmp_path / "a.exr", skewed(5000))
     how = ["-o", tmp_path / "out.exr", "--order", order, "--depth", "float"]
-    base, *_ = peak([tmp_path / "tiny.exr", *how])
-    most, code, stderr = peak([tmp_path / "a.exr", *how, "--max-memory", "96M"])
+    base, *_ = peak("flatten", tmp_path / "tiny.exr", *how)
+    most, code, stderr = peak("flatten", tmp_path / "a.exr", *how, "--max-memory", "96M")
     assert (code, stderr) == (0, "")
     assert most - base <= 96 + NOISE_M
     # Of two hues one is left, and it is that of a label.
@@ -288,7 +277,7 @@ def test_memory_does_not_follow_the_height(tmp_path):
     peaks = []
     for height in (100, 600):
         deepfile.write(tmp_path / "a.exr", noise(500, height, 8, volumes=False))
-        most, code, _ = peak([tmp_path / "a.exr", "-o", tmp_path / "out.exr", "--threads", 1])
+        most, code, _ = peak("flatten", tmp_path / "a.exr", "-o", tmp_path / "out.exr", "--threads", 1)
         assert code == 0
         peaks.append(most)
     assert peaks[1] - peaks[0] <= NOISE_M + 4
@@ -402,8 +391,9 @@ def test_zstd_stays_in_the_budget(tmp_path, tile):
         deepfile.write(tmp_path / "a.exr", noise(*size, tile=tile))
         deepfile.repacked(tmp_path / "a.exr", tmp_path / "z.exr", OpenEXR.ZSTD_COMPRESSION)
         most, *rest = peak(
-            [tmp_path / "z.exr", "-o", tmp_path / "out.exr", "--threads", 1, "--max-memory", "64M"]
-        )
+            "flatten", tmp_path / "z.exr", "-o", tmp_path / "out.exr",
+            "--threads", 1, "--max-memory", "64M",
+        )  # fmt: skip
         assert rest == [0, ""]
         peaks.append(most)
     assert peaks[1] - peaks[0] <= 64 + NOISE_M

@@ -2,35 +2,21 @@
 
 from __future__ import annotations
 
-import os
 import re
-import subprocess
-import sys
 import zlib
 from functools import cache
 
 import exrfile
 import numpy as np
 import pngfile
+import processes
 import pytest
-from command import PATIENCE_S, command
+from processes import NOISE_M
 
 from hpcomp.engine import choice as engine
 
 ENDINGS = ["png", "exr"]
-MIB = 1024.0
 WIDTH = 3000
-
-# Peaks of the same run differ by this much, with where the allocator happens to put things.
-NOISE_M = 1.5
-
-# Its own peak counts, not that of the tests: only a small process may start it.
-MEASURE = (
-    "import os, sys\n"
-    "child = os.posix_spawn(sys.argv[1], sys.argv[1:], os.environ)\n"
-    "_, status, usage = os.wait4(child, 0)\n"
-    "print(usage.ru_maxrss, os.waitstatus_to_exitcode(status))"
-)
 
 
 def png_bytes(width, height, interlaced=False):
@@ -92,14 +78,7 @@ def files(tmp_path_factory):
 
 def run(layers, out, *options, env=None):
     """(peak resident MiB, exit code, stderr)."""
-    done = subprocess.run(
-        command(
-            "stack", *layers, "-o", out, *options, through=[sys.executable, "-ISc", MEASURE]
-        ),
-        capture_output=True, text=True, timeout=PATIENCE_S, env={**os.environ, **(env or {})},
-    )  # fmt: skip
-    peak, code = done.stdout.split()
-    return int(peak) / MIB, int(code), done.stderr
+    return processes.peak("stack", *layers, "-o", out, *options, env=env)
 
 
 @pytest.fixture
@@ -237,17 +216,9 @@ def test_number_of_layers_does_not_matter(peak, order, threads):
 
 def check_peak(picture, layers):
     """The peak of `hpcomp check`, in MiB."""
-    done = subprocess.run(
-        command(
-            "check", picture, *layers, "--max-foreign", "1",
-            through=[sys.executable, "-ISc", MEASURE],
-        ),
-        capture_output=True, text=True, timeout=PATIENCE_S,
-    )  # fmt: skip
-    *_, last = done.stdout.splitlines()
-    peak, code = last.split()
-    assert (int(code), done.stderr) == (0, "")
-    return int(peak) / MIB
+    most, *end = processes.peak("check", picture, *layers, "--max-foreign", "1")
+    assert end == [0, ""]
+    return most
 
 
 @pytest.mark.parametrize("ending", ENDINGS)

@@ -16,9 +16,9 @@ from pathlib import Path
 
 import numpy as np
 import OpenEXR
+import processes
 import pytest
 from command import COMMAND, PATIENCE_S, snapshot
-from test_memory import run as measured_run
 
 import hpcomp
 import hpcomp.engine.choice
@@ -699,8 +699,8 @@ def test_256_slices_stream_within_the_budget(wide_slices, tmp_path, report, budg
     options = ["--report", tmp_path / "told.json"] if report else []
     peaks = []
     for size in (16, 512):
-        peak, code, stderr = measured_run(
-            wide_slices[size] * 16, tmp_path / "out.exr", "--order", "top-down", "--threads", 2,
+        peak, code, stderr = processes.peak(
+            "stack", *wide_slices[size] * 16, "-o", tmp_path / "out.exr", "--order", "top-down", "--threads", 2,
             "--max-memory", f"{budget}M", *options,
         )  # fmt: skip
         assert (code, stderr) == (0, "")
@@ -711,8 +711,8 @@ def test_256_slices_stream_within_the_budget(wide_slices, tmp_path, report, budg
 def test_more_slices_take_no_more_memory(wide_slices, tmp_path):
     """But for what an open file takes."""
     few, many = (
-        measured_run(wide_slices[512] * times, tmp_path / "out.exr", "--order", "top-down",
-                     "--threads", 2, "--max-memory", "64M")
+        processes.peak("stack", *wide_slices[512] * times, "-o", tmp_path / "out.exr",
+                       "--order", "top-down", "--threads", 2, "--max-memory", "64M")
         for times in (2, 16)
     )  # fmt: skip
     assert few[1:] == many[1:] == (0, "")
