@@ -1,12 +1,17 @@
 """Batches: the bytes of `hpcomp stack`, what fails and what goes on, and what a run remembers."""
 
 import contextlib
+import fcntl
 import json
 import os
 import pty
 import random
+import re
 import signal
+import struct
 import subprocess
+import sys
+import termios
 import time
 from pathlib import Path
 
@@ -25,6 +30,7 @@ from batches import (
 from command import PATIENCE_S, Desk, command, loaded, sent_to
 
 import hpcomp
+from hpcomp.cli.progress import Progress
 from hpcomp.errors import ExitCode, SettingError
 from hpcomp.jobs.batch import SEVERITY
 from hpcomp.jobs.frames import numbered, parse_frames
@@ -327,24 +333,74 @@ def test_a_line_for_each_job_and_a_summary(desk):
     assert run.lines[3].startswith("hpcomp: 3 jobs in ")
 
 
-def test_a_terminal_has_a_bar_with_rate_and_time_left(desk):
+def on_a_terminal(desk, *arguments, columns=90, term="xterm"):
+    """(exit code, what stderr, a terminal of that kind and width, is sent)."""
+    ours, theirs = pty.openpty()
+    fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 40, columns, 0, 0))
+    process = subprocess.Popen(
+        command(*arguments), cwd=desk.folder, stderr=theirs, env={**os.environ, "TERM": term}
+    )
+    os.close(theirs)
+    text = sent_to(ours).decode().replace("\r\n", "\n")
+    return process.wait(PATIENCE_S), text
+
+
+@pytest.mark.parametrize("columns", [30, 90])
+def test_a_terminal_has_a_bar_with_rate_and_time_left(desk, columns):
     tables = jobs(3)
     tables[0]["layers"][0] = "gone.png"
     put_jobs(desk, tables)
-    ours, theirs = pty.openpty()
-    process = subprocess.Popen(command("batch", "jobs.json"), cwd=desk.folder, stderr=theirs)
-    os.close(theirs)
-    text = sent_to(ours).decode()
-    assert process.wait(PATIENCE_S) == 3
-    assert "/s" in text
-    assert " left" in text
-    assert "[" in text
-    summary = text.replace("\r\n", "\n").replace("\r", "\n").strip().splitlines()[-1]
-    assert summary.removeprefix("\x1b[K").startswith("hpcomp: 3 jobs in ")
+    code, text = on_a_terminal(desk, "batch", "jobs.json", columns=columns)
+    assert code == 3
+    parts = [line for line in re.split("[\r\n]", text) if line.strip()]
+    bars = [part for part in parts if part.startswith("[")]
+    assert bars[0].startswith("[-")
+    assert " 0/3 ?/s ? left" in bars[0]
+    assert all(len(bar) <= columns for bar in bars)
+    assert len([part for part in parts if "hpcomp: error: " in part]) == 1
+    assert parts[-1].startswith("hpcomp: 3 jobs in ")
+
+
+def test_a_bar_counts_jobs_and_failures(capsys, monkeypatch):
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True, raising=False)
+    monkeypatch.setattr("tqdm.std._screen_shape_wrapper", lambda: lambda file: (40, 24))
+    progress = Progress(quiet=False)
+    progress.begin(4)
+    progress.message("hpcomp: warning: a line of its own")
+    for failed in (False, True, False):
+        time.sleep(0.11)  # longer than between two drawings
+        progress.count(True, failed, "no line of its own")
+    time.sleep(0.11)
+    progress.draw()
+    progress.clear()
+    sent = capsys.readouterr().err
+    lines = [part for part in re.split("[\r\n]", sent) if part.strip()]
+    assert lines[1] == "hpcomp: warning: a line of its own"
+    bars = [line for line in lines if line.startswith("[")]
+    assert [re.search(r"(\d)/4(, \d failed)?", bar)[0] for bar in bars] == [
+        "0/4", "1/4", "2/4, 1 failed", "3/4, 1 failed", "3/4, 1 failed",
+    ]  # fmt: skip
+    assert bars[-1].endswith(" left")
+    assert "/s " in bars[-1]
+    assert "no line of its own" not in sent
+    assert sent.endswith("\r")
+
+
+@pytest.mark.parametrize("quiet", [False, True])
+def test_a_dumb_terminal_has_lines(desk, quiet):
+    put_jobs(desk, jobs(2))
+    options = ["-q"] if quiet else []
+    code, text = on_a_terminal(desk, "batch", "jobs.json", "-j", "1", *options, term="dumb")
+    assert code == 0
+    assert "\r" not in text
+    assert "\x1b" not in text
+    found = [line.rpartition(" in ")[0] for line in text.splitlines()]
+    wanted = ["hpcomp: 1/2 out0.png", "hpcomp: 2/2 out1.png", "hpcomp: 2 jobs"]
+    assert found == ([] if quiet else wanted)
 
 
 def test_what_is_loaded(desk):
-    assert not {"numpy", "tomllib", "graphlib", "hpcomp.jobs.batch"} & loaded(desk, "--help")
+    assert not {"numpy", "tomllib", "tqdm", "graphlib", "hpcomp.jobs.batch"} & loaded(desk, "--help")
     assert "colour" not in loaded(desk, "batch", "--help")
 
 
