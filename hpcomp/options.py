@@ -24,7 +24,7 @@ from .blending.addition import (
 from .blending.orders import ORDERS
 from .blending.porter_duff import OPERATOR_NAMES
 from .blending.rules import StackRules, check_exposure, checked_rules
-from .color.css import parse_hex_color
+from .color.css import css_color
 from .color.primaries import (
     BOTTOM,
     OUT_PRIMARIES,
@@ -91,7 +91,7 @@ class _Group:
 
 def _checked_background(color: str | Sequence[float]) -> str | Sequence[float]:
     if isinstance(color, str):
-        parse_hex_color(color)
+        css_color(color, "background")
     elif len(color) != 3 or not np.isfinite(color).all():
         raise SettingError(f"background {color} is not three finite components, linear RGB")
     return color
@@ -165,7 +165,10 @@ class RuleOptions(_Group):
         0.0, "Brighten or darken the result.", metavar="STOPS", check=check_exposure
     )
     background: str | Sequence[float] | None = _option(
-        None, "Put a CSS hex colour under the result.", metavar="COLOR", check=_checked_background
+        None,
+        "Put a CSS colour, such as #ff8800 or white, under the result.",
+        metavar="COLOR",
+        check=_checked_background,
     )
     nonfinite: str = _option(
         "error",
@@ -184,7 +187,7 @@ class RuleOptions(_Group):
         name = REC709.name if self.primaries == BOTTOM else self.primaries
         background = self.background
         if isinstance(background, str):
-            color = np.array(parse_hex_color(background))
+            color = np.array(css_color(background, "background"))
             background = converted(color, REC709, working_primaries(name)).tolist()
         return checked_rules(
             operators,

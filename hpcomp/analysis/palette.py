@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from ..blending.addition import chroma, shoulder
 from ..blending.rules import StackRules
-from ..color.css import parse_hex_color
+from ..color.css import css_color, css_title
 from ..color.difference import contrast, difference
 from ..color.planes import cross_and_dot, is_saturated, saturation, spread_and_size
 from ..engine.arrays import composite
@@ -269,7 +269,7 @@ def palette(
 ) -> Palette:
     """Blends every pair of labels in every order, as ⊕ and as traditional + do, and judges them.
 
-    `colors`: 2 to 24 labels, with those of `layers`: CSS hex colours such as `#e41a1c`, with a name
+    `colors`: 2 to 24 labels, with those of `layers`: CSS colours such as `#e41a1c`, with a name
     `fault=#e41a1c`; or three numbers, straight linear RGB. `layers`: files or LAYER strings, each
     of which gives a label for each peak of its hues, of the mean colour there.
     `background`: likewise a colour; labels are judged on it. `rules`: `blending`, `order`, `space`
@@ -307,7 +307,7 @@ def palette(
             raise SettingError(f"{what} {value:g} is outside 0 to {most}")
     measuring = measure_settings(checked, achromatic=achromatic)
     settings = PaletteSettings(
-        background=_rgb(background),
+        background=_rgb(background, "background"),
         opacity=float(opacity),
         close_hues=float(close_hues),
         least_difference=float(least_difference),
@@ -329,26 +329,26 @@ def palette(
 _Named = tuple[str, tuple[float, float, float]]
 
 
-def _rgb(color: Color) -> tuple[float, float, float]:
+def _rgb(color: Color, use: str) -> tuple[float, float, float]:
     """A colour as straight linear RGB. Errors: `SettingError`."""
     if isinstance(color, str):
-        return parse_hex_color(color)
+        return css_color(color, use)
     found = tuple(float(value) for value in color)
     if len(found) != 3 or not all(0 <= value < math.inf for value in found):
         raise SettingError(
-            f"{color} is not a colour: give three numbers from 0 up, linear RGB, or a hex colour"
+            f"{color} is not a colour: give three numbers from 0 up, linear RGB, or a CSS colour"
         )
     return found
 
 
 def _named(color: Color) -> _Named:
-    """The name and the colour of `NAME=#rrggbb`, `#rrggbb` or three numbers."""
+    """The name and the colour of `NAME=COLOR`, of a CSS colour or of three numbers."""
     if not isinstance(color, str):
-        rgb = _rgb(color)
+        rgb = _rgb(color, "label")
         return "rgb(" + ", ".join(f"{value:.3g}" for value in rgb) + ")", rgb
-    name, _, hexadecimal = color.rpartition("=")
-    rgb = parse_hex_color(hexadecimal)
-    return name or f"#{hexadecimal.removeprefix('#').lower()}", rgb
+    name, _, written = color.rpartition("=")
+    rgb = css_color(written, "label")
+    return name or css_title(written), rgb
 
 
 def _labels_of(spec: LayerSpec, achromatic: float, strict: bool, space: str) -> list[_Named]:

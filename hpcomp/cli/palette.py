@@ -32,8 +32,8 @@ _FORMATS = "\n".join(f"  {row.name:<6} {row.title}" for row in PALETTE_FORMATS.v
 
 PALETTE_HELP = f"""Say what the colours of labels blend to, and what may go wrong.
 
-COLOR is a CSS hex colour, or NAME=COLOR, 2 to 24 of them. Quote a #: in a shell an unquoted #
-begins a comment. The # can be left out. --from takes labels from layer files.
+COLOR is a CSS colour such as orange or #e41a1c, or NAME=COLOR, 2 to 24 of them. Quote a #: in a
+shell an unquoted # begins a comment. The # can be left out. --from takes labels from layer files.
 
 palette puts every label over every other one at opacities from 0 to 1, in traditional blending and
 with ⊕. For each pair it prints the angle between the hues, the share of the opacities at which the

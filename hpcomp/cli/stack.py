@@ -30,7 +30,7 @@ keys, unless the whole argument is an existing file. A value cannot contain a co
   at=PLACE         +X+Y, or a gravity: center, north-west, south+0-10 …
   alpha=MODE       straight, premultiplied, premultiplied-encoded, luminance
   colorspace=NAME  overrides what the file says: srgb, linear, acescg …
-  tint=#RRGGBB     colours a grey mask, whose stored values become the alpha
+  tint=COLOR       colours a grey mask, whose stored values become the alpha
   part=NAME        a part of a multi-part EXR, by name or index
   layer=NAME       channels NAME.R, NAME.G, NAME.B, NAME.A of an EXR
   name=TEXT        what messages call the layer

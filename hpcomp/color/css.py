@@ -1,23 +1,60 @@
-"""Colours as CSS writes them, in linear light. Knows no pixels and no labels."""
+"""Colours as CSS writes them, `#ff8800` or `orange`: what options and layers take for a colour."""
 
 from __future__ import annotations
+
+import string
 
 import numpy as np
 
 from ..errors import SettingError
 from .transfer import SRGB
 
+#: What has a colour but no alpha of its own, and why.
+_WITHOUT_ALPHA = {
+    "background": "a background is opaque",
+    "label": "a label is tried at every opacity",
+    "tint": "a tint has the alpha of its mask, which opacity= lowers",
+}
+#: Digits that a colour may have, and how many of them are not its alpha.
+_RGB_DIGITS = {3: 3, 4: 3, 6: 6, 8: 6}
+#: Names of CSS Color Module Level 4 that Level 3 has not, which is as far as webcolors goes.
+_NAMES_OF_LEVEL_4 = {"rebeccapurple": "#663399"}
 
-def parse_hex_color(text: str) -> tuple[float, float, float]:
-    """Straight linear RGB in [0, 1] of a CSS hex colour: `#rgb` or `#rrggbb`, in sRGB."""
-    digits = text.removeprefix("#")
-    if len(digits) == 3:
-        digits = "".join(2 * digit for digit in digits)
-    try:
-        codes = bytes.fromhex(digits) if digits.isalnum() else b""
-    except ValueError:
-        codes = b""
-    if len(codes) != 3:
-        raise SettingError(f"'{text}' is not a colour: write a CSS hex colour such as #ff8800")
-    red, green, blue = (float(v) for v in SRGB.decode(np.frombuffer(codes, np.uint8) / 255))
+
+def css_color(text: str, use: str) -> tuple[float, float, float]:
+    """Straight linear RGB in [0, 1] of a colour in sRGB.
+
+    `text`: a name, `#rgb` or `#rrggbb`, with or without the `#`; with digits of an alpha only if
+    that is opaque. `use`: what the colour is of, a background, a label or a tint.
+    Errors: `SettingError`.
+    """
+    import webcolors
+
+    name, names = text.lower(), _names()
+    digits = names.get(name, name).removeprefix("#")
+    n_rgb = _RGB_DIGITS.get(len(digits))
+    if n_rgb is None or not set(digits) <= set(string.hexdigits):
+        import difflib
+
+        near = difflib.get_close_matches(name, names, 1) or ["orange"]
+        raise SettingError(
+            f"'{text}' is not a colour: write a CSS colour such as #ff8800 or {near[0]}"
+        )
+    color, alpha = f"#{digits[:n_rgb]}", digits[n_rgb:]
+    if alpha.strip("f"):
+        raise SettingError(f"'{text}' is translucent, but {_WITHOUT_ALPHA[use]}: write {color}")
+    codes = np.array(webcolors.hex_to_rgb(color))
+    red, green, blue = (float(v) for v in SRGB.decode(codes / 255))
     return red, green, blue
+
+
+def css_title(text: str) -> str:
+    """What a colour is called that has no other name: as it is written, in small letters."""
+    name = text.lower()
+    return name if name in _names() else f"#{name.removeprefix('#')}"
+
+
+def _names() -> dict[str, str]:
+    import webcolors
+
+    return {name: webcolors.name_to_hex(name) for name in webcolors.names()} | _NAMES_OF_LEVEL_4

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ..color.css import parse_hex_color
+from ..color.css import css_color
 from ..color.encodings import color_space
 from ..color.samples import Decoding
 from ..errors import InputError, unknown_name
@@ -24,7 +24,7 @@ class Interpretation:
     """What is asked of a reader beside its file.
 
     `alpha`: one of `encodings.ALPHA_MODES`, or None for the format's own. `colorspace`: a name of
-    `encodings.COLOR_SPACES`, or None for what the file says. `tint`: a CSS hex colour for a mask,
+    `encodings.COLOR_SPACES`, or None for what the file says. `tint`: a CSS colour for a mask,
     or None. `nonfinite`, on NaN and Inf: `error`, `zero` (such a pixel becomes transparent black,
     such a deep sample is left out), `keep`.
     Errors: `SettingError` for an unknown policy.
@@ -61,7 +61,7 @@ class Interpretation:
             self.alpha or file.alpha_mode,
             stored_straight=file.alpha_mode == "straight",
             zero_nonfinite=self.nonfinite == "zero",
-            tint=None if self.tint is None else parse_hex_color(self.tint),
+            tint=None if self.tint is None else css_color(self.tint, "tint"),
         )
 
 

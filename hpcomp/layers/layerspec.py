@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from ..blending.porter_duff import operator
-from ..color.css import parse_hex_color
+from ..color.css import css_color
 from ..color.encodings import ALPHA_MODES, color_space
 from ..errors import SettingError, unknown_name
 from ..geometry import Placement, parse_placement
@@ -22,7 +22,7 @@ class LayerSpec:
     `path`: a file, or `-` for stdin. `op`: an operator's name. `opacity`: 0 to 1.
     `at`: `+X+Y`, or a gravity with an optional offset: where the display window goes.
     `alpha`: one of `encodings.ALPHA_MODES`. `colorspace`: a name of `encodings.COLOR_SPACES`.
-    `tint`: a CSS hex colour for a grey or single-channel mask, whose stored values are the alpha.
+    `tint`: a CSS colour for a grey or single-channel mask, whose stored values are the alpha.
     `part`: name or index in a multi-part EXR. `layer`: the prefix of layered channel names, of a
     mask also the name of a channel. `name`: what reports and errors call it.
     Errors: `SettingError`.
@@ -49,7 +49,7 @@ class LayerSpec:
         if self.colorspace is not None:
             color_space(self.colorspace)
         if self.tint is not None:
-            parse_hex_color(self.tint)
+            css_color(self.tint, "tint")
             if self.colorspace is not None and self.alpha != "luminance":
                 raise SettingError(
                     "a mask with a tint says how much it covers, not how bright it is, so "

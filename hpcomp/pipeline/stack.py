@@ -37,9 +37,9 @@ def stack(
     for stdout with `format`. The options are those of `hpcomp stack` and mean the same; `asked` has
     them as a whole, and the keywords go first.
     `primaries` are those that colours are blended in and an EXR is written in, `bottom` those of
-    the bottom layer; `out_primaries` those of a PNG, Rec. 709 if None. `background` is a CSS hex
-    colour, or straight linear RGB in these primaries, in Rec. 709 with `bottom`; `max_memory` is in
-    bytes, or `512M`, `1G`.
+    the bottom layer; `out_primaries` those of a PNG, Rec. 709 if None. `background` is a CSS
+    colour, opaque, or straight linear RGB in these primaries, in Rec. 709 with `bottom`;
+    `max_memory` is in bytes, or `512M`, `1G`.
     `report`: one path or several, each ending in .txt, .json, .csv, .svg, .png, .pdf or .html, for
     what blending did to the hues; `foreign_tolerance` in degrees (twice `hue_tolerance` if None,
     more in oklab and cielab), `achromatic` in [0, 1], `energy_weights` of red, green and blue, and

@@ -178,7 +178,7 @@ def test_json_is_what_arrays_measure(here, monkeypatch, name, out):
     expected = hpcomp.stack_measures(
         arrays(here),
         opacity=OPACITIES,
-        background=hpcomp.color.css.parse_hex_color("#203040"),
+        background=hpcomp.color.css.css_color("#203040", "background"),
         half_step=measures.half_step("uint8" if out == "out.png" else "float"),
     )
     assert document["engine"] == name

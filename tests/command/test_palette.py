@@ -21,7 +21,7 @@ from strategies import color_of, valid_colors
 import hpcomp
 from hpcomp.analysis.palette import FINDING_KINDS, MOST_LABELS, PROFILE_STEPS
 from hpcomp.cli import cli
-from hpcomp.color.css import parse_hex_color
+from hpcomp.color.css import css_color
 from hpcomp.color.difference import contrast, difference, oklab
 from hpcomp.engine import choice as engine
 from hpcomp.errors import MismatchError, SettingError
@@ -226,7 +226,7 @@ def test_oklab_is_that_of_colour_science():
 def test_contrast_is_that_of_the_web():
     assert contrast(0.0, 1.0) == pytest.approx(21)
     assert contrast(0.4, 0.4) == 1
-    grey = parse_hex_color("#767676")[0]  # known as the lightest grey of 4.5:1 on white
+    grey = css_color("#767676", "label")[0]  # known as the lightest grey of 4.5:1 on white
     assert contrast(1.0, grey) == pytest.approx(4.54, abs=0.005)
 
 
@@ -258,7 +258,7 @@ def test_limits_of_findings():
     assert kinds("#f00", "#f20", close_hues=angle) == []
     assert kinds("#f00", "#f20", close_hues=angle + 1e-6) == [("close-hues", (0, 1))]
     faint = only("vanishes", ["#f00", "#ffff66"])
-    mixed_light = 0.5 + 0.5 * np.array(parse_hex_color("#ffff66"))
+    mixed_light = 0.5 + 0.5 * np.array(css_color("#ffff66", "label"))
     assert faint.measured == pytest.approx(float(difference(mixed_light, [1, 1, 1])), abs=1e-9)
     assert kinds("#f00", "#ffff66", least_difference=faint.measured) == []
     assert kinds("#f00", "#ffff66", opacity=1.0) == []
@@ -304,11 +304,11 @@ def test_on_a_grey_background_both_blendings_show_the_same():
 
 
 def test_names_and_colours():
-    palette = hpcomp.palette(["fault=#E41A1C", "0f0", "a=b=#00f", (0.5, 0.25, 2.0), "=#abc"])
+    palette = hpcomp.palette(["fault=#E41A1C", "0f0", "a=b=#00f", (0.5, 0.25, 2.0), "=#abc", "Tan"])
     assert [label.name for label in palette.labels] == [
-        "fault", "#0f0", "a=b", "rgb(0.5, 0.25, 2)", "#abc",
+        "fault", "#0f0", "a=b", "rgb(0.5, 0.25, 2)", "#abc", "tan",
     ]  # fmt: skip
-    assert palette.labels[0].rgb == parse_hex_color("#e41a1c")
+    assert palette.labels[0].rgb == css_color("#e41a1c", "label")
     assert palette.labels[1].rgb == (0, 1, 0)
     assert palette.labels[1].hue == 120
     assert palette.labels[1].chroma == pytest.approx(oracle.length(oracle.difference((0, 1, 0))))
@@ -321,9 +321,11 @@ def test_names_and_colours():
         (["#f00"], {}, "1 labels: a palette has 2 to 24"),
         (["#f00"] * (MOST_LABELS + 1), {}, "25 labels"),
         (["#f00", "#ggg"], {}, "'#ggg' is not a colour"),
+        (["#f00", "#0f08"], {}, "'#0f08' is translucent, but a label is tried at every opacity"),
+        (["#f00", "#0f0"], {"background": "#ffffff00"}, "a background is opaque: write #ffffff"),
         (["#f00", (1, 2)], {}, r"\(1, 2\) is not a colour: give three numbers"),
         (["#f00", (1, -1, 0)], {}, "is not a colour"),
-        (["#f00", "#0f0"], {"background": "white"}, "'white' is not a colour"),
+        (["#f00", "#0f0"], {"background": "withe"}, "'withe' is not a colour.* or white$"),
         (["#f00", "#0f0"], {"opacity": 1.5}, "opacity 1.5 is outside 0 to 1"),
         (["#f00", "#0f0"], {"close_hues": math.nan}, "close hues nan is outside 0 to 180"),
         (["#f00", "#0f0"], {"least_difference": -1}, "least difference -1 is outside"),
@@ -358,7 +360,7 @@ def test_labels_of_layers_are_the_peaks_of_their_hues(desk):
     assert [label.name for label in palette.labels] == [
         "#ff0", "roads", "two 120°", "two 240°", "map 120°", "map 240°",
     ]  # fmt: skip
-    assert palette.labels[1].rgb == pytest.approx(parse_hex_color("#e41a1c"), abs=1e-6)
+    assert palette.labels[1].rgb == pytest.approx(css_color("#e41a1c", "label"), abs=1e-6)
     assert palette.labels[3].rgb == pytest.approx((0, 0, 1), abs=1e-6)
     with pytest.raises(MismatchError, match=r"grey.png: no hue stands out in it"):
         hpcomp.palette(["#f00"], layers=["grey.png"])

@@ -146,7 +146,7 @@ def test_unknown_look(choice, valid):
 @given(st.tuples(*[st.integers(0, 255)] * 3))
 def test_a_colour_of_8_bits_is_itself(codes):
     text = "#{:02x}{:02x}{:02x}".format(*codes)
-    assert srgb_hex(hpcomp.color.css.parse_hex_color(text)) == text
+    assert srgb_hex(hpcomp.color.css.css_color(text, "label")) == text
 
 
 @pytest.mark.parametrize(
@@ -159,7 +159,7 @@ def test_a_bright_colour_keeps_its_hue(rgb, text):
 
 def test_a_colour_out_of_gamut_keeps_its_hue():
     rgb = np.array((0.5, -0.1, 0.2))
-    codes = np.array(hpcomp.color.css.parse_hex_color(srgb_hex(rgb)))
+    codes = np.array(hpcomp.color.css.css_color(srgb_hex(rgb), "label"))
     assert codes.min() == 0
     assert float(HEXAGON.degrees(codes)) == pytest.approx(float(HEXAGON.degrees(rgb)), abs=1)
 

@@ -221,10 +221,15 @@ def test_explain_shows_the_stored_value_and_the_colour(tmp_path):
     assert np.abs(np.array(step.rgba) - [*(0.2 * COLOR), 0.2]).max() <= FLOAT32
 
 
-@pytest.mark.parametrize("text", ["red", "#12345", "377eb8cc", "#gggggg"])
-def test_a_tint_is_a_hex_colour(text):
-    with pytest.raises(SettingError, match=r"CSS hex colour"):
+@pytest.mark.parametrize("text", ["redd", "#12345", "#gggggg", ""])
+def test_a_tint_is_a_css_colour(text):
+    with pytest.raises(SettingError, match=rf"^'{text}' is not a colour: write a CSS colour"):
         LayerSpec("a.png", tint=text)
+
+
+def test_a_tint_has_no_alpha_of_its_own():
+    with pytest.raises(SettingError, match=r"which opacity= lowers: write #377eb8$"):
+        LayerSpec("a.png", tint="377eb8cc")
 
 
 def test_a_colorspace_beside_a_tint_is_refused(tmp_path):
@@ -238,6 +243,6 @@ def test_the_command_says_what_is_wrong(tmp_path):
     run = desk.run("stack", "a.png::tint=#fff", "-o", "out.png")
     assert run.code == 4
     assert "layer 0 (a.png): tint= is for grey masks, and pixel 0,0" in run.stderr
-    run = desk.run("stack", "a.png::tint=blue", "-o", "out.png")
+    run = desk.run("stack", "a.png::tint=blu", "-o", "out.png")
     assert run.code == 2
-    assert "'blue' is not a colour" in run.stderr
+    assert "'blu' is not a colour: write a CSS colour such as #ff8800 or blue" in run.stderr
