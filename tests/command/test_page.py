@@ -394,9 +394,9 @@ needs_browser = pytest.mark.skipif(
 
 
 @pytest.fixture(scope="module")
-def tab(tmp_path_factory):
-    """A page of a browser that is started once."""
-    opened = browser.Browser(tmp_path_factory.mktemp("profile"))
+def tab():
+    """A browser that is started once."""
+    opened = browser.Browser()
     yield opened
     opened.close()
 
@@ -495,7 +495,7 @@ def test_slider_by_keys(tab, files):
     tab.open(files / "stack.html")
     assert split_of(tab) == pytest.approx(50)
     for _ in range(20):
-        tab.press("Tab")
+        tab.page.keyboard.press("Tab")
         if tab.value("document.activeElement.id") == "split":
             break
     assert tab.value("document.activeElement.id") == "split"
@@ -503,7 +503,7 @@ def test_slider_by_keys(tab, files):
     assert "rgb(11, 87, 208)" in tab.value(ring)
     places = []
     for key in ("ArrowRight", "ArrowRight", "ArrowLeft", "End", "ArrowLeft", "Home", "ArrowUp"):
-        tab.press(key)
+        tab.page.keyboard.press(key)
         places.append(split_of(tab))
     assert 50 < places[0] < places[1]
     assert places[2] == pytest.approx(places[0])
@@ -523,27 +523,29 @@ def test_slider_by_mouse(tab, files):
         "return [f.left, f.top, f.width]; })()"
     )
     at = lambda share: (left + share * width, top + 60)  # noqa: E731
-    tab.mouse(("mousePressed", *at(0.25)))
+    mouse = tab.page.mouse
+    mouse.move(*at(0.25))
+    mouse.down()
     assert split_of(tab) == pytest.approx(25, abs=0.5)
-    tab.mouse(("mouseMoved", *at(0.8)))
+    mouse.move(*at(0.8))
     assert split_of(tab) == pytest.approx(80, abs=0.5)
-    tab.mouse(("mouseMoved", left + 2 * width, top + 60))
+    mouse.move(left + 2 * width, top + 60)
     assert split_of(tab) == 100
-    tab.mouse(("mouseReleased", *at(0.5)), ("mouseMoved", *at(0.1)))
+    mouse.up()
+    mouse.move(*at(0.1))
     assert split_of(tab) == 100
 
 
 @needs_browser
-def test_pictures_are_clipped_where_the_slider_is(tab, files, tmp_path):
+def test_pictures_are_clipped_where_the_slider_is(tab, files):
     """At either end, one picture alone is seen, and transparent parts show no other picture."""
     shots = {}
     for key in ("Home", "End"):
         tab.open(files / "stack.html")
         tab.value("document.getElementById('split').focus()")
-        tab.press(key)
+        tab.page.keyboard.press(key)
         tab.value("document.querySelectorAll('.handle').forEach((e) => e.remove())")
-        tab.screenshot(tmp_path / "shot.png", whole=False)
-        shot = pngfile.decode((tmp_path / "shot.png").read_bytes())
+        shot = pngfile.decode(tab.page.screenshot())
         box = tab.value(
             "(() => { const f = document.querySelector('.before img').getBoundingClientRect();"
             "return [f.left, f.top, f.width, f.height]; })()"
@@ -571,11 +573,11 @@ def test_layers_of_the_map_are_shown_and_hidden_by_keys(tab, files):
     n_maps = len(tab.value(shown))
     assert tab.value(shown) == [True] * n_maps
     tab.value("document.querySelectorAll('input[data-map]')[1].focus()")
-    tab.press(" ")
+    tab.page.keyboard.press(" ")
     assert tab.value(shown) == [k != 1 for k in range(n_maps)]
     for kind, state in (("none", False), ("all", True)):
         tab.value(f"document.querySelector('button[data-show={kind}]').focus()")
-        tab.press("Enter")
+        tab.page.keyboard.press("Enter")
         assert tab.value(shown) == [state] * n_maps
         assert tab.value("document.querySelectorAll('input[data-map]')[1].checked") is state
 
@@ -588,12 +590,12 @@ def test_chart_is_read_by_keys_and_mouse(tab, files):
     readout = "document.querySelectorAll('.readout')[1].textContent"
     tab.value(f"{plot}.scrollIntoView({{block: 'center'}})")
     tab.value(f"{plot}.focus()")
-    tab.press("Home")
+    tab.page.keyboard.press("Home")
     seen = []
     for _ in range(found.occupied):
         assert tab.value(f"{plot}.getAttribute('aria-valuetext')") == tab.value(readout)
         seen.append(tab.value(readout))
-        tab.press("ArrowRight")
+        tab.page.keyboard.press("ArrowRight")
     hues = [int(text.partition("°")[0]) for text in seen]
     assert sorted(hues) == np.flatnonzero(found.count).tolist()
     assert hues == sorted(hues, key=lambda hue: (hue + 30) % 360)
@@ -604,9 +606,9 @@ def test_chart_is_read_by_keys_and_mouse(tab, files):
     left, top, width = tab.value(
         f"(() => {{ const b = {plot}.getBoundingClientRect(); return [b.left, b.top, b.width]; }})()"
     )
-    tab.mouse(("mouseMoved", left + width * 90 / 360, top + 50))
+    tab.page.mouse.move(left + width * 90 / 360, top + 50)
     assert tab.value(readout).startswith("60°: ")
-    tab.mouse(("mouseMoved", 1, 1))
+    tab.page.mouse.move(1, 1)
     assert tab.value(readout) == ""
 
 
@@ -614,15 +616,15 @@ def test_chart_is_read_by_keys_and_mouse(tab, files):
 def test_command_is_copied(tab, files):
     tab.open(files / "hostile.html")
     tab.value("document.getElementById('copy').scrollIntoView({block: 'center'})")
-    tab.value("navigator.clipboard.writeText = (text) => { window.copied = text; return Promise.resolve(); }")
+    tab.value("void (navigator.clipboard.writeText = async (text) => { window.copied = text; })")
     tab.value("document.getElementById('copy').focus()")
-    tab.press("Enter")
+    tab.page.keyboard.press("Enter")
     assert tab.value("window.copied") == Page(PAGES["hostile"]).texts["code"]
     assert tab.value("document.getElementById('copied').textContent") == "Copied"
     # Where that is not allowed, at least it is selected.
-    tab.value("navigator.clipboard.writeText = () => Promise.reject(new Error('no'))")
+    tab.value("void (navigator.clipboard.writeText = () => Promise.reject(new Error('no')))")
     tab.value("document.getElementById('copied').textContent = ''")
-    tab.press("Enter")
+    tab.page.keyboard.press("Enter")
     assert tab.value("getSelection().toString()") == Page(PAGES["hostile"]).texts["code"]
     assert tab.value("document.getElementById('copied').textContent") != ""
 
@@ -652,7 +654,7 @@ def test_without_script_both_pictures_are_seen(tab, files):
 @needs_browser
 def test_printed_page_shows_both_pictures(tab, files):
     tab.open(files / "stack.html", dark=True)
-    tab.media("print")
+    tab.page.emulate_media(media="print")
     try:
         before, after = tab.value(BOXES)
         assert after[0] >= before[2] - 1
@@ -660,8 +662,8 @@ def test_printed_page_shows_both_pictures(tab, files):
         assert tab.value("getComputedStyle(document.body).backgroundColor") == "rgb(255, 255, 255)"
         assert tab.value(FAINT)[1] == []
     finally:
-        tab.media("screen")
-    assert tab.pdf().startswith(b"%PDF")
+        tab.page.emulate_media(media="screen")
+    assert tab.page.pdf().startswith(b"%PDF")
 
 
 @needs_browser
@@ -673,7 +675,7 @@ def test_every_control_can_be_reached_by_tab(tab, files):
     tab.value("window.reached = new Set(), null")
     without_ring = []
     for _ in range(wanted):
-        tab.press("Tab")
+        tab.page.keyboard.press("Tab")
         name, ring = tab.value(
             "(() => { const e = document.activeElement, s = getComputedStyle(e); reached.add(e);"
             "return [e.id || e.tagName, s.outlineStyle === 'solid' && parseFloat(s.outlineWidth) >= 2]; })()"
