@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from .look import Entry, Look
-from .markup import element, isolated, joined
+from .markup import h, isolated, lines
 from .page import Section, page
 from .pagechart import LARGE, Charts
 
@@ -14,11 +14,10 @@ def as_html(entries: Sequence[Entry], look: Look) -> bytes:
     """A page with a chart of each entry, on one scale."""
     charts = Charts(entries, look)
     figures = [charts.figure(isolated(label), found, LARGE) for label, found in entries]
-    content = joined(
+    content = lines(
         charts.colors(),
-        element("p", charts.caption + _one_scale(entries), class_="note"),
-        element("div", *figures, class_="charts", by="\n"),
-        by="\n",
+        h.p(class_="note")[charts.caption + _one_scale(entries)],
+        h.div(class_="charts")[lines(*figures)],
     )
     name = entries[0][0] if len(entries) == 1 else f"{len(entries)} images"
     lead = (

@@ -13,8 +13,9 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
+from ..errors import printable
 from ..version import __version__
-from .markup import Content, Markup, element, isolated
+from .markup import Markup, Node, h, isolated, lines, rendered
 
 
 @dataclass(frozen=True)
@@ -23,70 +24,61 @@ class Section:
 
     anchor: str
     title: str
-    content: Markup
+    content: Node
 
 
-def page(kind: str, name: str, lead: Content, sections: Sequence[Section]) -> bytes:
+def page(kind: str, name: str, lead: Node, sections: Sequence[Section]) -> bytes:
     """A whole page, UTF-8. `kind`: of report; `name`: of what it is about; `lead`: one sentence."""
     style, script = _text("page.css"), _text("page.js")
     policy = (
         f"default-src 'none'; img-src data:; style-src '{_hash(style)}'; "
         f"script-src '{_hash(script)}'; base-uri 'none'; form-action 'none'"
     )
-    head = element(
-        "head",
-        element("meta", charset="utf-8"),
-        element("meta", http_equiv="Content-Security-Policy", content=policy),
-        element("meta", name="viewport", content="width=device-width, initial-scale=1"),
-        element("meta", name="color-scheme", content="light dark"),
-        element("meta", name="referrer", content="no-referrer"),
-        element("title", f"{name} · {kind}"),
-        # Without it a browser would ask for one.
-        element("link", rel="icon", href="data:,"),
-        element("style", style),
-        element("script", script),
-        by="\n",
-    )
-    links = [
-        element("li", element("a", section.title, href=f"#{section.anchor}"))
-        for section in sections
+    head = h.head[
+        lines(
+            h.meta(charset="utf-8"),
+            h.meta(http_equiv="Content-Security-Policy", content=policy),
+            h.meta(name="viewport", content="width=device-width, initial-scale=1"),
+            h.meta(name="color-scheme", content="light dark"),
+            h.meta(name="referrer", content="no-referrer"),
+            h.title[printable(f"{name} · {kind}")],
+            # Without it a browser would ask for one.
+            h.link(rel="icon", href="data:,"),
+            h.style[Markup(style)],
+            h.script[Markup(script)],
+        )
     ]
-    header = element(
-        "header",
-        element("p", kind, class_="kind"),
-        element("h1", isolated(name)),
-        element("p", lead, class_="lead"),
-        element("nav", element("ul", *links), aria_label="Sections") if len(links) > 1 else "",
-        by="\n",
-    )
-    main = element("main", *map(_section, sections), id="main", tabindex="-1", by="\n")
-    body = element(
-        "body",
-        element("a", "Skip to the report", class_="skip", href="#main"),
-        header,
-        main,
-        element("footer", element("p", f"Made by hpcomp {__version__}.")),
-        by="\n",
-    )
-    document = element("html", head, body, lang="en", by="\n")
-    return f"<!doctype html>\n{document}\n".encode()
+    links = [h.li[h.a(href=f"#{section.anchor}")[section.title]] for section in sections]
+    header = h.header[
+        lines(
+            h.p(class_="kind")[kind],
+            h.h1[isolated(name)],
+            h.p(class_="lead")[lead],
+            h.nav(aria_label="Sections")[h.ul[links]] if len(links) > 1 else "",
+        )
+    ]
+    main = h.main(id="main", tabindex="-1")[lines(*map(_section, sections))]
+    body = h.body[
+        lines(
+            h.a(class_="skip", href="#main")["Skip to the report"],
+            header,
+            main,
+            h.footer[h.p[f"Made by hpcomp {__version__}."]],
+        )
+    ]
+    return rendered(h.html(lang="en")[lines(head, body)])
 
 
-def _section(section: Section) -> Markup:
+def _section(section: Section) -> Node:
     heading = f"{section.anchor}-heading"
-    return element(
-        "section",
-        element("h2", section.title, id=heading),
-        section.content,
-        id=section.anchor,
-        aria_labelledby=heading,
-        by="\n",
-    )
+    return h.section(id=section.anchor, aria_labelledby=heading)[
+        lines(h.h2(id=heading)[section.title], section.content)
+    ]
 
 
 @cache
-def _text(name: str) -> Markup:
-    return Markup(Path(__file__).with_name(name).read_text(encoding="utf-8"))
+def _text(name: str) -> str:
+    return Path(__file__).with_name(name).read_text(encoding="utf-8")
 
 
 def _hash(text: str) -> str:

@@ -22,7 +22,7 @@ from .look import (
     srgb_hex,
     ticks,
 )
-from .markup import Markup, element, joined, number
+from .markup import Node, digits, h
 
 
 @dataclass(frozen=True)
@@ -70,79 +70,74 @@ class Charts:
             f"{360 / self.bins:.3g}° to a bar, on a {self.scale.title}."
         )
 
-    def colors(self) -> Markup:
+    def colors(self) -> Node:
         """What the charts refer to, once a page: the colours under their axes."""
         degrees = np.arange(0, 360 + _STOP_DEG, _STOP_DEG) + self.start
         stops = [
-            element("stop", offset=number(k / (len(degrees) - 1)), stop_color=color)
+            h.stop(offset=digits(k / (len(degrees) - 1)), stop_color=color)
             for k, color in enumerate(hue_colors(self.axis, degrees))
         ]
-        gradient = element("linearGradient", *stops, id=_GRADIENT)
-        return element("svg", gradient, class_="defs", width=0, height=0, aria_hidden="true")
+        gradient = h.Element("linearGradient")(id=_GRADIENT)[stops]
+        return h.svg(class_="defs", width=0, height=0, aria_hidden="true")[gradient]
 
-    def figure(self, label: Markup, found: HueHistogram, size: Size) -> Markup:
+    def figure(self, label: Node, found: HueHistogram, size: Size) -> Node:
         """A histogram under its heading, with its counts and peaks."""
-        heading = element(
-            "figcaption", element("h3", label), element("p", class_="readout", aria_live="polite")
-        )
-        counts = element("p", f"{pixels_sentence(found)}.", class_="note")
+        heading = h.figcaption[h.h3[label], h.p(class_="readout", aria_live="polite")]
+        counts = h.p(class_="note")[f"{pixels_sentence(found)}."]
         if not found.chromatic:
-            return element("figure", heading, counts, class_="chart")
-        return element(
-            "figure",
+            return h.figure(class_="chart")[heading, counts]
+        return h.figure(class_="chart")[
             heading,
             counts if size.full else "",
             self._plot(found, size),
             peak_list(found),
-            element("p", f"{concentration_sentence(found)}.", class_="note") if size.full else "",
-            class_="chart",
-        )
+            h.p(class_="note")[f"{concentration_sentence(found)}."] if size.full else "",
+        ]
 
-    def _plot(self, found: HueHistogram, size: Size) -> Markup:
+    def _plot(self, found: HueHistogram, size: Size) -> Node:
         height = size.plot
         rows = [
             (_ABOVE + height - height * float(self.scale.heights(share, self.top)), share)
             for share in ticks(self.top, self.scale, _LINE / height)
         ]
         whole = _ABOVE + height + _GAP + _STRIP + size.below
-        shares = element(
-            "svg",
-            *(element("text", f"{100 * share:g}%", x="100%", y=y) for y, share in rows),
-            class_="shares",
-            height=whole,
-            aria_hidden="true",
-        )
-        lines = joined(
-            *(element("line", x1=0, x2="100%", y1=y, y2=y, class_="rule") for y, _ in rows[1:])
-        )
-        bars = element(
-            "svg",
-            element("path", d=self._outline(found), class_="bars"),
-            element("path", d="", class_="cursor"),
-            *(self._hit(peak) for peak in found.peaks),
+        shares = h.svg(class_="shares", height=whole, aria_hidden="true")[
+            (h.text(x="100%", y=digits(y))[f"{100 * share:g}%"] for y, share in rows)
+        ]
+        lines = h.fragment[
+            (
+                h.line(x1=0, x2="100%", y1=digits(y), y2=digits(y), class_="rule")
+                for y, _ in rows[1:]
+            )
+        ]
+        bars = h.svg(
             class_="field",
-            viewBox=f"{number(self.start)} 0 360 {_UNITS}",
+            viewBox=f"{digits(self.start)} 0 360 {_UNITS}",
             preserveAspectRatio="none",
             y=_ABOVE,
             width="100%",
             height=height,
-        )
+        )[
+            h.path(d=self._outline(found), class_="bars"),
+            h.path(d="", class_="cursor"),
+            (self._hit(peak) for peak in found.peaks),
+        ]
         base = _ABOVE + height + _GAP
-        plot = element(
-            "svg",
-            lines,
-            bars,
-            element("rect", y=base, width="100%", height=_STRIP, fill=f"url(#{_GRADIENT})"),
-            self._landmarks(base + _STRIP, size.full),
+        plot = h.svg(
             class_="plot",
             height=whole,
             role="img",
             aria_label=summary(found),
             data_shares=self._data(found),
             data_bins=self.bins,
-            data_start=self.start,
-        )
-        return element("div", shares, plot, class_="plotted")
+            data_start=digits(self.start),
+        )[
+            lines,
+            bars,
+            h.rect(y=base, width="100%", height=_STRIP, fill=f"url(#{_GRADIENT})"),
+            self._landmarks(base + _STRIP, size.full),
+        ]
+        return h.div(class_="plotted")[shares, plot]
 
     def _outline(self, found: HueHistogram) -> str:
         """The bars as one path; neighbours are drawn in one go. The axis' ends cut a bar in two."""
@@ -154,7 +149,7 @@ class Charts:
             height = float(heights[index % self.bins])
             if height > 0:
                 # What is there is seen, however little it is.
-                level = number(_UNITS - max(height, 0.6))
+                level = digits(_UNITS - max(height, 0.6))
                 if not open_:
                     steps.append(f"M{_fine((index - 0.5) * width)} {_UNITS}")
                 steps.append(f"V{level}h{_fine(width)}")
@@ -163,22 +158,20 @@ class Charts:
             open_ = height > 0
         return "".join(steps) + (f"V{_UNITS}z" if open_ else "")
 
-    def _hit(self, peak: Peak) -> Markup:
+    def _hit(self, peak: Peak) -> Node:
         reach = max(PEAK_RADIUS_DEG, 180 / self.bins)
         left = (peak.hue - self.start) % 360 + self.start - reach
-        title = element("title", peak_text(peak))
-        return element(
-            "rect", title, class_="hit", x=_fine(left), width=_fine(2 * reach), height=_UNITS
-        )
+        title = h.title[peak_text(peak)]
+        return h.rect(class_="hit", x=_fine(left), width=_fine(2 * reach), height=_UNITS)[title]
 
-    def _landmarks(self, y: float, names: bool) -> Markup:
+    def _landmarks(self, y: float, names: bool) -> Node:
         texts = []
         for name, hue in self.axis.landmarks().items():
-            place = f"{number(((hue - self.start) % 360) / 3.6)}%"
-            texts.append(element("text", f"{hue:.0f}°", x=place, y=y + 15))
+            place = f"{digits(((hue - self.start) % 360) / 3.6)}%"
+            texts.append(h.text(x=place, y=digits(y + 15))[f"{hue:.0f}°"])
             if names:
-                texts.append(element("text", name, x=place, y=y + 29))
-        return element("g", *texts, class_="landmarks", aria_hidden="true")
+                texts.append(h.text(x=place, y=digits(y + 29))[name])
+        return h.g(class_="landmarks", aria_hidden="true")[texts]
 
     def _data(self, found: HueHistogram) -> str:
         """Number and share, in percent, of each bin with a pixel: what the page's script reads."""
@@ -209,30 +202,21 @@ def summary(found: HueHistogram) -> str:
     return f"Hue histogram. Peaks, with their shares of the pixels with a hue: {peaks}."
 
 
-def swatch(color: str) -> Markup:
+def swatch(color: str) -> Node:
     """A patch of a colour, #rrggbb."""
-    return element(
-        "svg",
-        element("rect", width=12, height=12, fill=color),
-        class_="swatch",
-        width=12,
-        height=12,
-        aria_hidden="true",
-    )
+    return h.svg(class_="swatch", width=12, height=12, aria_hidden="true")[
+        h.rect(width=12, height=12, fill=color)
+    ]
 
 
-def peak_list(found: HueHistogram) -> Markup:
+def peak_list(found: HueHistogram) -> Node:
     """The peaks with their colours, hues and shares."""
     if not found.peaks:
-        return element("p", "no hue stands out", class_="note")
+        return h.p(class_="note")["no hue stands out"]
     rows = [
-        element(
-            "li",
-            swatch(srgb_hex(peak.rgb)),
-            f" {peak.hue:.1f}° ",
-            element("b", percent(peak.share)),
-            title=peak_text(peak),
-        )
+        h.li(title=peak_text(peak))[
+            swatch(srgb_hex(peak.rgb)), f" {peak.hue:.1f}° ", h.b[percent(peak.share)]
+        ]
         for peak in found.peaks
     ]
-    return element("ul", *rows, class_="peaks")
+    return h.ul(class_="peaks")[rows]

@@ -10,7 +10,7 @@ import numpy as np
 from ..measures.histogram import HueHistogram
 from ..measures.labels import ContributorMeasures, share
 from .look import Look, percent, srgb_hex
-from .markup import Content, Markup, element, escaped, isolated, joined
+from .markup import Node, digits, h, isolated, lines
 from .page import Section, page
 from .pagechart import LARGE, SMALL, Charts, peak_list, swatch
 from .pagepictures import data_uri, mask, shown_size
@@ -62,24 +62,23 @@ def _lead(report: StackReport) -> str:
 # --- pictures -------------------------------------------------------------------------------------
 
 
-def _comparison(report: StackReport) -> Markup:
-    cards = element("div", *_cards(report), class_="cards", by="\n")
+def _comparison(report: StackReport) -> Node:
+    cards = h.div(class_="cards")[lines(*_cards(report))]
     counts = _counts(report)
     if report.preview is None:
-        return joined(element("div", cards, class_="columns"), counts, by="\n")
-    frame = element("div", *_frame(report, report.preview), counts, class_="frame", by="\n")
-    return element("div", frame, cards, class_="columns", by="\n")
+        return lines(h.div(class_="columns")[cards], counts)
+    frame = h.div(class_="frame")[lines(*_frame(report, report.preview), counts)]
+    return h.div(class_="columns")[lines(frame, cards)]
 
 
-def _frame(report: StackReport, preview: Preview) -> tuple[Content, ...]:
+def _frame(report: StackReport, preview: Preview) -> tuple[Node, ...]:
     """Both pictures on one place, and what moves the line between them."""
     ours = result_name(report)
     pictures = [
         _picture(TRADITIONAL, "before", preview.traditional, "the layers added as usual"),
         _picture(ours, "after", preview.result, "the result of this stack"),
     ]
-    control = element(
-        "input",
+    control = h.input(
         type="range",
         id="split",
         min=0,
@@ -90,28 +89,19 @@ def _frame(report: StackReport, preview: Preview) -> tuple[Content, ...]:
         data_before=TRADITIONAL,
         data_after=ours,
     )
-    knob = element(
-        "svg",
-        element("path", d="M9 6 3 12l6 6M15 6l6 6-6 6"),
-        width=24,
-        height=24,
-        aria_hidden="true",
-    )
-    handle = element("span", knob, class_="handle", aria_hidden="true")
-    frame = element("div", *pictures, control, handle, class_="compare", id="compare", by="\n")
-    hint = element(
-        "p",
-        "Drag or click in the frame, or use the arrow keys, Home and End.",
-        class_="note scripted",
-    )
+    knob = h.svg(width=24, height=24, aria_hidden="true")[h.path(d="M9 6 3 12l6 6M15 6l6 6-6 6")]
+    handle = h.span(class_="handle", aria_hidden="true")[knob]
+    frame = h.div(class_="compare", id="compare")[lines(*pictures, control, handle)]
+    hint = h.p(class_="note scripted")[
+        "Drag or click in the frame, or use the arrow keys, Home and End."
+    ]
     return frame, hint, _scale_note(preview)
 
 
-def _picture(name: str, kind: str, pixels: np.ndarray, what: str) -> Markup:
+def _picture(name: str, kind: str, pixels: np.ndarray, what: str) -> Node:
     height, width = pixels.shape[:2]
     shown_width, shown_height, square = shown_size(width, height)
-    image = element(
-        "img",
+    image = h.img(
         src=data_uri(pixels),
         width=shown_width,
         height=shown_height,
@@ -119,20 +109,18 @@ def _picture(name: str, kind: str, pixels: np.ndarray, what: str) -> Markup:
         class_="square" if square else None,
         draggable="false",
     )
-    return element("figure", image, element("figcaption", name), class_=kind)
+    return h.figure(class_=kind)[image, h.figcaption[name]]
 
 
-def _scale_note(preview: Preview) -> Content:
+def _scale_note(preview: Preview) -> Node:
     if preview.scale == 1:
         return ""
-    return element(
-        "p",
-        f"One pixel here stands for {preview.scale} × {preview.scale} of the picture.",
-        class_="note",
-    )
+    return h.p(class_="note")[
+        f"One pixel here stands for {preview.scale} × {preview.scale} of the picture."
+    ]
 
 
-def _provenance(report: StackReport, preview: Preview) -> Markup:
+def _provenance(report: StackReport, preview: Preview) -> Node:
     height, width = preview.provenance.shape
     shown_width, shown_height, square = shown_size(width, height)
     counts = np.bincount(preview.provenance.ravel(), minlength=len(report.labels) + 1)
@@ -142,8 +130,7 @@ def _provenance(report: StackReport, preview: Preview) -> Markup:
         n_pixels = int(counts[number + 1])
         if n_pixels:
             images.append(
-                element(
-                    "img",
+                h.img(
                     src=data_uri(mask(preview.provenance == number + 1, color)),
                     width=shown_width,
                     height=shown_height,
@@ -155,54 +142,43 @@ def _provenance(report: StackReport, preview: Preview) -> Markup:
         rows.append(_legend_row(number, label, color, n_pixels, preview.provenance.size))
     alone = percent(share(int(counts[0]), preview.provenance.size))
     rows.append(
-        element(
-            "li",
-            element("span", class_="box none", aria_hidden="true"),
-            element("span", "no layer: grey, transparent, or nobody's hue", class_="name"),
-            element("span", alone, class_="part"),
-        )
+        h.li[
+            h.span(class_="box none", aria_hidden="true"),
+            h.span(class_="name")["no layer: grey, transparent, or nobody's hue"],
+            h.span(class_="part")[alone],
+        ]
     )
-    picture = element(
-        "div",
-        *images,
+    picture = h.div(
         class_="map",
         role="img",
         aria_label="Map of the layers whose hue survived, pixel by pixel, in the layers' colours. "
         "The list beside it says how much each has.",
-        by="\n",
-    )
-    buttons = element(
-        "p",
-        element("button", "Show all", type="button", data_show="all"),
-        element("button", "Show none", type="button", data_show="none"),
-        class_="buttons scripted",
-        by=" ",
-    )
-    legend = element(
-        "div", element("ul", *rows, class_="legend", by="\n"), buttons, class_="beside", by="\n"
-    )
-    intro = element(
-        "p",
-        "Each pixel has the colour of the layer whose hue it shows; the share is of the picture.",
-        class_="note",
-    )
-    return joined(
-        intro, element("div", picture, legend, class_="columns", by="\n"), _scale_note(preview)
-    )
+    )[lines(*images)]
+    buttons = h.p(class_="buttons scripted")[
+        lines(
+            h.button(type="button", data_show="all")["Show all"],
+            h.button(type="button", data_show="none")["Show none"],
+            by=" ",
+        )
+    ]
+    legend = h.div(class_="beside")[lines(h.ul(class_="legend")[lines(*rows)], buttons)]
+    intro = h.p(class_="note")[
+        "Each pixel has the colour of the layer whose hue it shows; the share is of the picture."
+    ]
+    return h.fragment[intro, h.div(class_="columns")[lines(picture, legend)], _scale_note(preview)]
 
 
-def _legend_row(number: int, label: str, color: str, n_pixels: int, all_pixels: int) -> Markup:
-    switch = element(
-        "input",
+def _legend_row(number: int, label: str, color: str, n_pixels: int, all_pixels: int) -> Node:
+    switch = h.input(
         type="checkbox",
         checked=bool(n_pixels),
         disabled=not n_pixels,
         class_="scripted",
         data_map=f"map-{number}" if n_pixels else None,
     )
-    words = element("span", layer_name(number, label), class_="name")
-    part = element("span", percent(share(n_pixels, all_pixels)), class_="part")
-    return element("li", element("label", switch, swatch(color), words, part))
+    words = h.span(class_="name")[layer_name(number, label)]
+    part = h.span(class_="part")[percent(share(n_pixels, all_pixels))]
+    return h.li[h.label[switch, swatch(color), words, part]]
 
 
 def layer_color(found: HueHistogram) -> str:
@@ -215,12 +191,12 @@ def layer_color(found: HueHistogram) -> str:
     return srgb_hex(found.rgb_sums.sum(axis=0) / weight)
 
 
-def layer_name(number: int, label: str) -> Markup:
+def layer_name(number: int, label: str) -> Node:
     """A layer's number and name, the number once where the label is like `layer 3 (leaf.png)`."""
     begin = f"layer {number} ("
     if label.startswith(begin) and label.endswith(")"):
         label = label[len(begin) : -1]
-    return joined(element("span", str(number), class_="number"), " ", isolated(label))
+    return h.fragment[h.span(class_="number")[str(number)], " ", isolated(label)]
 
 
 # --- numbers --------------------------------------------------------------------------------------
@@ -281,24 +257,21 @@ def _measures(report: StackReport) -> list[_Measure]:
     ]
 
 
-def _cards(report: StackReport) -> list[Markup]:
+def _cards(report: StackReport) -> list[Node]:
     return [
-        element(
-            "div",
-            element("h3", row.title),
-            element(
-                "dl",
-                *_pair(result_name(report), row.ours, "ours"),
-                *(() if row.plain is None else _pair(TRADITIONAL, row.plain, "plain")),
-            ),
-            element("p", row.meaning),
-            class_="card",
-        )
+        h.div(class_="card")[
+            h.h3[row.title],
+            h.dl[
+                _pair(result_name(report), row.ours, "ours"),
+                () if row.plain is None else _pair(TRADITIONAL, row.plain, "plain"),
+            ],
+            h.p[row.meaning],
+        ]
         for row in _measures(report)
     ]
 
 
-def _counts(report: StackReport) -> Markup:
+def _counts(report: StackReport) -> Node:
     found = report.findings.measures
     sentences = [
         f"Of {found.pixels:,} pixels, {found.result.chromatic:,} have a hue in the result and "
@@ -306,44 +279,35 @@ def _counts(report: StackReport) -> Markup:
     ]
     if found.unmeasured:
         sentences.append(f"{found.unmeasured:,} hold NaN or Inf and are left out.")
-    return element("p", *sentences, class_="note", by=" ")
+    return h.p(class_="note")[lines(*sentences, by=" ")]
 
 
-def _pair(name: str, value: float, kind: str) -> tuple[Markup, Markup]:
+def _pair(name: str, value: float, kind: str) -> tuple[Node, Node]:
     return (
-        element("dt", name, class_=kind),
-        element("dd", element("b", percent(value)), _bar(value), class_=kind),
+        h.dt(class_=kind)[name],
+        h.dd(class_=kind)[h.b[percent(value)], _bar(value)],
     )
 
 
-def _bar(value: float) -> Markup:
-    return element(
-        "svg",
-        element("rect", width=100 * min(1.0, value), height=6),
-        class_="bar",
-        viewBox="0 0 100 6",
-        preserveAspectRatio="none",
-        height=6,
-        aria_hidden="true",
-    )
+def _bar(value: float) -> Node:
+    return h.svg(
+        class_="bar", viewBox="0 0 100 6", preserveAspectRatio="none", height=6, aria_hidden="true"
+    )[h.rect(width=digits(100 * min(1.0, value)), height=6)]
 
 
 # --- hues and layers ------------------------------------------------------------------------------
 
 
-def _hues(report: StackReport) -> Markup:
+def _hues(report: StackReport) -> Node:
     found = report.findings
     results = [(result_name(report), found.result), (TRADITIONAL, found.traditional)]
     # A scale of their own: layers are often one bar, beside which a smear would be flat.
     charts = Charts(results, Look())
-    figures = [
-        charts.figure(escaped(_title(name)), histogram, LARGE) for name, histogram in results
-    ]
-    return joined(
+    figures = [charts.figure(_title(name), histogram, LARGE) for name, histogram in results]
+    return lines(
         charts.colors(),
-        element("p", f"{charts.caption} Both charts have one scale.", class_="note"),
-        element("div", *figures, class_="charts", by="\n"),
-        by="\n",
+        h.p(class_="note")[f"{charts.caption} Both charts have one scale."],
+        h.div(class_="charts")[lines(*figures)],
     )
 
 
@@ -351,74 +315,61 @@ def _title(name: str) -> str:
     return name[:1].upper() + name[1:]
 
 
-def _layers(report: StackReport) -> Markup:
+def _layers(report: StackReport) -> Node:
     found = report.findings
     charts = Charts(list(zip(report.labels, found.layers, strict=True)), Look())
     heads = ("Layer", "Peaks", "Pixels", "Hue survived", "Lost to grey")
     rows = [
         _layer_row(
-            joined(swatch(layer_color(histogram)), layer_name(number, label)),
+            h.fragment[swatch(layer_color(histogram)), layer_name(number, label)],
             found.measures.result.layers[number],
             found.measures.traditional.layers[number],
-            peak_list(histogram) if histogram.chromatic else element("span", "no hue"),
+            peak_list(histogram) if histogram.chromatic else h.span["no hue"],
             heads,
         )
         for number, (label, histogram) in enumerate(zip(report.labels, found.layers, strict=True))
     ]
     ours, plain = found.measures.result.background, found.measures.traditional.background
     if ours.chroma:
-        rows.append(_layer_row(escaped("background"), ours, plain, escaped(""), heads))
-    table = element(
-        "table",
-        element(
-            "caption",
-            "Bottom first. Pixels: where the layer contributes chroma. Hue survived: the share of "
-            f"those that show its hue. Small print: the {TRADITIONAL} result.",
-        ),
-        element(
-            "thead",
-            element(
-                "tr",
-                *(element("th", head, scope="col", role="columnheader") for head in heads),
-                role="row",
-            ),
-            role="rowgroup",
-        ),
-        element("tbody", *rows, role="rowgroup", by="\n"),
-        role="table",
-        by="\n",
-    )
+        rows.append(_layer_row("background", ours, plain, "", heads))
+    table = h.table(role="table")[
+        lines(
+            h.caption[
+                "Bottom first. Pixels: where the layer contributes chroma. Hue survived: the share "
+                f"of those that show its hue. Small print: the {TRADITIONAL} result."
+            ],
+            h.thead(role="rowgroup")[
+                h.tr(role="row")[(h.th(scope="col", role="columnheader")[head] for head in heads)]
+            ],
+            h.tbody(role="rowgroup")[lines(*rows)],
+        )
+    ]
     figures = [
         charts.figure(layer_name(number, label), histogram, SMALL)
         for number, (label, histogram) in enumerate(zip(report.labels, found.layers, strict=True))
     ]
-    return joined(
+    return lines(
         table,
-        element(
-            "p",
-            "The hues of each layer at its opacity, as far as it lies on the canvas, on one scale:",
-            class_="note",
-        ),
-        element("div", *figures, class_="charts small", by="\n"),
-        by="\n",
+        h.p(class_="note")[
+            "The hues of each layer at its opacity, as far as it lies on the canvas, on one scale:"
+        ],
+        h.div(class_="charts small")[lines(*figures)],
     )
 
 
 def _layer_row(
-    name: Markup,
+    name: Node,
     ours: ContributorMeasures,
     plain: ContributorMeasures,
-    peaks: Markup,
+    peaks: Node,
     heads: tuple[str, ...],
-) -> Markup:
-    def both(of: Callable[[ContributorMeasures], float]) -> Markup:
+) -> Node:
+    def both(of: Callable[[ContributorMeasures], float]) -> Node:
         if not ours.pixels:
-            return escaped("–")
-        return joined(
-            element("b", percent(of(ours))),
-            _bar(of(ours)),
-            element("small", f"{TRADITIONAL} {percent(of(plain))}"),
-        )
+            return "–"
+        return h.fragment[
+            h.b[percent(of(ours))], _bar(of(ours)), h.small[f"{TRADITIONAL} {percent(of(plain))}"]
+        ]
 
     cells = (
         peaks,
@@ -426,65 +377,54 @@ def _layer_row(
         both(lambda found: found.survived_share),
         both(lambda found: found.lost),
     )
-    return element(
-        "tr",
-        element("th", name, scope="row", role="rowheader"),
-        *(
-            element("td", cell, role="cell", data_head=head)
+    return h.tr(role="row")[
+        h.th(scope="row", role="rowheader")[name],
+        (
+            h.td(role="cell", data_head=head)[cell]
             for head, cell in zip(heads[1:], cells, strict=True)
         ),
-        role="row",
-    )
+    ]
 
 
 # --- how it was made ------------------------------------------------------------------------------
 
 
-def _making(report: StackReport) -> Markup:
+def _making(report: StackReport) -> Node:
     settings = [
         part
         for name, text in report.settings.items()
-        for part in (element("dt", name), element("dd", isolated(text)))
+        for part in (h.dt[name], h.dd[isolated(text)])
     ]
     parts = []
     if report.command:
         parts += [
-            element("h3", "Command"),
-            element(
-                "div",
-                element(
-                    "pre",
-                    element("code", _command(report.command), id="command"),
-                    tabindex=0,
-                    role="region",
-                    aria_label="Command",
-                ),
-                element(
-                    "p",
-                    element("button", "Copy", type="button", id="copy"),
-                    element("span", id="copied", role="status"),
-                    class_="buttons scripted",
-                    by=" ",
-                ),
-                class_="command",
-            ),
+            h.h3["Command"],
+            h.div(class_="command")[
+                h.pre(tabindex=0, role="region", aria_label="Command")[
+                    h.code(id="command")[_command(report.command)]
+                ],
+                h.p(class_="buttons scripted")[
+                    lines(
+                        h.button(type="button", id="copy")["Copy"],
+                        h.span(id="copied", role="status"),
+                        by=" ",
+                    )
+                ],
+            ],
         ]
     else:
-        parts.append(element("p", "It was made from Python, not by a command."))
+        parts.append(h.p["It was made from Python, not by a command."])
     groups = [("Settings", settings)] if settings else []
     versions = [
-        element("dt", "hpcomp"), element("dd", report.version),
-        element("dt", "engine"), element("dd", report.engine),
+        h.dt["hpcomp"], h.dd[report.version],
+        h.dt["engine"], h.dd[report.engine],
     ]  # fmt: skip
     groups.append(("Versions", versions))
-    lists = [
-        element("div", element("h3", title), element("dl", *rows, class_="settings"))
-        for title, rows in groups
-    ]
-    return joined(*parts, element("div", *lists, class_="columns"), by="\n")
+    lists = [h.div[h.h3[title], h.dl(class_="settings")[rows]] for title, rows in groups]
+    return lines(*parts, h.div(class_="columns")[lists])
 
 
-def _command(command: str) -> Markup:
+def _command(command: str) -> Node:
     """A command that does when it is pasted what it did, and shows what it will do.
 
     What cannot be seen, or would turn the letters beside it around, stands between single quotes,
@@ -492,7 +432,7 @@ def _command(command: str) -> Markup:
     """
     shown = "".join(c if c.isprintable() else f"'$'{_spelt_out(c)}''" for c in command)
     # Lines break between words, not at the hyphens of an option.
-    return joined(*(element("span", word) for word in shown.split(" ")), by=" ")
+    return h.fragment[lines(*(h.span[word] for word in shown.split(" ")), by=" ")]
 
 
 def _spelt_out(character: str) -> str:

@@ -1051,7 +1051,10 @@ def modules(desk, *arguments):
     return set(ast.literal_eval(done.stdout.decode().partition("loaded ")[2]))
 
 
-HEAVY = {"numpy", "OpenImageIO", "OpenEXR", "colour", "matplotlib", "scipy", "dask"}
+HEAVY = {
+    "numpy", "OpenImageIO", "OpenEXR", "colour", "matplotlib", "scipy", "dask",
+    "htpy", "tqdm", "webcolors",
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("arguments", [["--help"], ["info", "--help"]])

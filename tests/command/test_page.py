@@ -21,9 +21,10 @@ from stackreports import HOSTILE, LABELS, LAYERS, SIZE, hostile_report, report_o
 
 import hpcomp
 from hpcomp import hue_histogram
+from hpcomp.errors import printable
 from hpcomp.report import huepage
 from hpcomp.report.look import Look, percent
-from hpcomp.report.markup import Markup, element, escaped, joined, number
+from hpcomp.report.markup import Markup, digits, h, isolated, lines, rendered
 from hpcomp.report.page import Section, page
 from hpcomp.report.pagepictures import mask, png_bytes, shown_size
 from hpcomp.report.stackpage import as_html, layer_color
@@ -92,7 +93,7 @@ PAGES = {
 
 
 @given(st.text(alphabet=st.characters()), st.text(alphabet=st.characters()))
-def test_what_goes_into_markup_comes_out_as_text(content, attribute):
+def test_what_goes_into_a_page_comes_out_as_text(content, attribute):
     """Surrogates, controls and all: as text, and never as anything else."""
 
     class Reader(HTMLParser):
@@ -105,24 +106,24 @@ def test_what_goes_into_markup_comes_out_as_text(content, attribute):
             self.seen += (data,)
 
     reader = Reader(convert_charrefs=True)
-    reader.feed(element("p", content, title=attribute))
+    reader.feed(rendered(h.html[h.p(title=attribute)[content]]).decode())
     reader.close()
-    shown = [hpcomp.errors.printable(text) for text in (content, attribute)]
-    assert reader.seen[0] == ("p", [("title", shown[1])])
-    assert "".join(reader.seen[1:]) == shown[0]
-    element("p", content).encode()
+    shown = ["\n".join(map(printable, text.split("\n"))) for text in (content, attribute)]
+    assert reader.seen[:3] == ("\n", ("html", []), ("p", [("title", shown[1])]))
+    assert "".join(reader.seen[3:]) == f"{shown[0]}\n"
 
 
-def test_elements():
-    assert element("input", type="range", min=0, checked=True, disabled=False, id=None) == (
-        '<input type="range" min="0" checked>'
-    )
-    assert element("td", "a<b", Markup("<b>c</b>"), class_="x", data_head="y", by=" ") == (
-        '<td class="x" data-head="y">a&lt;b <b>c</b></td>'
-    )
-    assert joined("a", "", Markup("&amp;"), by="\n") == "a\n&amp;"
-    assert escaped(escaped("<")) == "&lt;"
-    assert [number(value) for value in (3.0, 0.5, 1 / 3, 100)] == ["3", "0.5", "0.33", "100"]
+def test_names_from_outside_stay_on_their_line():
+    read = Page(rendered(h.html[isolated("a\nb\u202e<i>")]))
+    assert read.texts["bdi"] == "a\\nb\\u202e<i>"
+    assert read.all("bdi") == [{"dir": "ltr"}]
+
+
+def test_lines():
+    assert str(h.p[lines("a", "", None, h.b["c<d"], Markup("&amp;"))]) == "<p>a\n<b>c&lt;d</b>\n&amp;</p>"
+    assert str(h.p[lines("a", "b", by=" ")]) == "<p>a b</p>"
+    assert str(h.p[lines()]) == str(h.p[lines("", None)]) == "<p></p>"
+    assert [digits(value) for value in (3.0, 0.5, 1 / 3, 100)] == ["3", "0.5", "0.33", "100"]
 
 
 # ---- every page ------------------------------------------------------------------------------
@@ -195,7 +196,7 @@ def test_page_has_no_time_and_is_the_same_again(name):
 
 
 def test_page_of_parts():
-    sections = [Section("a", "First & last", escaped("<x>")), Section("b", "B", escaped(""))]
+    sections = [Section("a", "First & last", "<x>"), Section("b", "B", "")]
     read = Page(page("Kind", "a<b", "so", sections))
     assert read.texts["title"] == "a<b · Kind"
     assert [link["href"] for link in read.all("a")] == ["#main", "#a", "#b"]
@@ -212,7 +213,7 @@ def test_hostile_names_become_text():
     assert [image["src"][:10] for image in read.all("img")] == ["data:image"] * len(read.all("img"))
     assert "<img src=x onerror=window.harmed=1>.png" in read.texts["h1"]
     for label in HOSTILE:
-        assert hpcomp.errors.printable(label) in read.texts["bdi"]
+        assert printable(label) in read.texts["bdi"]
     text = content.decode()
     assert not [c for c in text if not c.isprintable() and c != "\n"]
 
