@@ -212,13 +212,17 @@ def main() -> int:
             for side, command in zip(("before", "after"), commands, strict=True)
         ]
         doing = [pool.submit(compared, folder, sides, asked.keep, case) for case in cases]
-        for future in as_completed(doing):
-            result = future.result()
-            results.append(result)
-            for line in result.differences:
-                print(f"{result.case.name}: {line}", flush=True)
-            if result.differences:
-                print(textwrap.indent(result.case.script, "    "), flush=True)
+        try:
+            for future in as_completed(doing):
+                result = future.result()
+                results.append(result)
+                for line in result.differences:
+                    print(f"{result.case.name}: {line}", flush=True)
+                if result.differences:
+                    print(textwrap.indent(result.case.script, "    "), flush=True)
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)  # Ctrl-C ends it, with the cases at hand
+            raise
     return int(show(results) > 0)
 
 
