@@ -8,7 +8,7 @@ Compositing and Blending Level 1.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import IntEnum
+from enum import Enum
 from typing import Any, TypeVar
 
 import numpy as np
@@ -20,13 +20,13 @@ Alpha = NDArray[np.floating[Any]]
 T = TypeVar("T")
 
 
-class Factor(IntEnum):
+class Factor(Enum):
     """What a colour is multiplied by: a function of the other picture's alpha."""
 
-    ZERO = 0
-    ONE = 1
-    ALPHA = 2
-    REST = 3  # 1 − alpha
+    ZERO = "0"
+    ONE = "1"
+    ALPHA = "α"
+    REST = "1 − α"
 
     def __call__(self, alpha: Alpha) -> Alpha | float:
         match self:
@@ -40,7 +40,7 @@ class Factor(IntEnum):
                 return 1 - alpha
 
 
-_ZERO, _ONE, _ALPHA, _REST = Factor
+_ZERO, _ONE, _ALPHA, _REST = Factor.ZERO, Factor.ONE, Factor.ALPHA, Factor.REST
 _BEHIND = True
 
 

@@ -51,7 +51,7 @@ def _print_version(ctx: click.Context, param: click.Parameter, value: bool) -> N
     if value and not ctx.resilient_parsing:
         engine = signals.load("hpcomp.engine.choice")
         try:
-            name = engine.chosen().NAME
+            name = engine.chosen().name
         except SettingError as error:
             raise click.UsageError(str(error), ctx) from error
         click.echo(f"hpcomp {__version__} (engine: {name})")

@@ -120,7 +120,7 @@ def _composited(
         arrival, layers_at_once = list(of_height.arrival), _layers_at_once(of_height, height)
         pixels_at_once = len(pixels)
         if of_height.order is ORDERS["simultaneous"]:  # which takes the square of the height
-            pixels_at_once = max(1, engine.active().PAIRS_AT_ONCE // height**2)
+            pixels_at_once = max(1, engine.active().pairs_at_once // height**2)
         for first in range(0, len(pixels), pixels_at_once):
             go_on()
             part = slice(first, first + pixels_at_once)

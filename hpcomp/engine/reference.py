@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,37 +20,58 @@ from ..color.primaries import REC709, Primaries
 from ..color.quantization import Losses
 from ..color.samples import Samples, Strip, cropped, encode, linear_rgba, spread
 
-Array = NDArray[np.floating[Any]]
+if TYPE_CHECKING:  # only reports need them
+    from ..measures.findings import MeasuredStrip, StackFindings
+    from ..measures.labels import Provenance
 
-NAME = "reference"
-#: Whether strips are widened to float RGBA on the way.
-DECODES_IN_NUMPY = True
-#: Where its `findings` are, with all that they import.
-MEASURING = "hpcomp.measures.findings"
+Array = NDArray[np.floating[Any]]
 
 #: Pixels that are composited at a time, so that a few planes of them stay in the L2 cache.
 BLOCK_PIXELS = 16_384
-
-#: Pairs of terms of the order `simultaneous` that take it a part of a second.
-PAIRS_AT_ONCE = 1 << 17
 
 #: Of two terms that are added at once: their shoulder, support, rivalry, and what these take.
 PAIR_BYTES = 36
 
 
-def start(rules: StackRules, width: int, height: int, dtype: Any = np.float32) -> _Accumulator:
-    """An empty accumulator for a strip of that size, of the kind that the rules need."""
-    return _ACCUMULATORS[rules.reduction](rules, width, height, dtype)
+class ReferenceEngine:
+    """The contract's `Engine` in numpy; float64 goes through in float64."""
+
+    name = "reference"
+    decodes_in_numpy = True
+    pairs_at_once = 1 << 17
+
+    def start(
+        self, rules: StackRules, width: int, height: int, dtype: Any = np.float32
+    ) -> _Accumulator:
+        """An empty accumulator for a strip of that size, of the kind that the rules need."""
+        return _ACCUMULATORS[rules.reduction](rules, width, height, dtype)
+
+    def bytes_to_reduce(self, rules: StackRules, layers: int) -> int:
+        """The pairs of the terms of one pixel, where these are more than those of a block."""
+        if rules.reduction is not Reduction.ALL_LAYERS or rules.order is not ORDERS["simultaneous"]:
+            return 0
+        return layers**2 * PAIR_BYTES
+
+    def measures(self, rules: StackRules) -> bool:
+        """It measures in every space."""
+        return True
+
+    def findings(self, strip: MeasuredStrip) -> tuple[StackFindings, Provenance | None]:
+        """The findings of a strip, and its provenance planes (height, width) where wanted."""
+        from ..measures.findings import findings_of
+
+        layers = []
+        for layer in strip.strips:
+            inside = cropped(layer, strip.width, strip.height)
+            rgba, _ = linear_rgba(inside)
+            layers.append(spread(rgba, inside.left, inside.top, strip.width, strip.height))
+        found, provenance = findings_of(strip.rules, strip.settings, layers, strip.bins)
+        if not strip.with_provenance:
+            return found, None
+        return found, provenance.reshaped((strip.height, strip.width))
 
 
-def bytes_to_reduce(rules: StackRules, layers: int) -> int:
-    """Memory that a strip of so many layers takes beside its samples, whatever its size.
-
-    The pairs of the terms of one pixel, where these are more than those of a block.
-    """
-    if rules.reduction is not Reduction.ALL_LAYERS or rules.order is not ORDERS["simultaneous"]:
-        return 0
-    return layers**2 * PAIR_BYTES
+ENGINE = ReferenceEngine()
 
 
 class _Accumulator(ABC):
@@ -77,6 +98,12 @@ class _Accumulator(ABC):
         with np.errstate(all="ignore"):
             rgba = self.composite().reshape(self.height, self.width, 4)
             return encode(rgba, kind, losses, self.rules.primaries, gamut)
+
+    def result_and_findings(
+        self, kind: str, losses: Losses, gamut: Primaries, strip: MeasuredStrip
+    ) -> tuple[Samples, StackFindings, Provenance | None]:
+        """The samples of the accumulated strip, and its findings."""
+        return self.result(kind, losses, gamut), *ENGINE.findings(strip)
 
     def term(self, number: int, rgba: Array) -> tuple[Array, Array, Array, Array]:
         """As `terms.term`, of layer `number`."""

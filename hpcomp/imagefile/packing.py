@@ -14,14 +14,14 @@ from numpy.typing import NDArray
 from ..color.samples import Samples
 
 try:
-    from ..kernel import _kernel  # type: ignore[attr-defined]
+    from ..kernel._kernel import packing as _loops
 except ImportError:
-    _kernel = None
+    _loops = None  # type: ignore[assignment]
 
 Bytes = NDArray[np.uint8]
 
 #: Whether files can be unpacked here; both formats' loops are for the byte order of most machines.
-UNPACKS = _kernel is not None and sys.byteorder == "little"
+UNPACKS = _loops is not None and sys.byteorder == "little"
 
 _SUB, _UP = 1, 2
 #: EXR's differences of bytes are stored with this added.
@@ -43,8 +43,13 @@ def exr_unpacked(
     `out`: (rows, width, channels) float16 or float32. Only where `UNPACKS`.
     """
     data = np.frombuffer(block, np.uint8)
-    _kernel.exr_unpack(
-        data, packed, row_bytes // 2, [begin // 2 for begin in channel_bytes], first_row, out
+    _loops.exr_unpack(
+        block=data,
+        packed=packed,
+        row_units=row_bytes // 2,
+        channels=[begin // 2 for begin in channel_bytes],
+        first_row=first_row,
+        out=out,
     )
 
 
@@ -61,7 +66,7 @@ def exr_packed(samples: Samples) -> Bytes:
     """The same as what EXR's ZIP deflates: differences of the bytes of planes."""
     if UNPACKS:
         packed = np.empty(samples.nbytes, np.uint8)
-        _kernel.exr_pack(np.ascontiguousarray(samples), packed)
+        _loops.exr_pack(samples=np.ascontiguousarray(samples), out=packed)
         return packed
     plain = np.frombuffer(exr_plain(samples), np.uint8)
     split = np.concatenate([plain[::2], plain[1::2]])
@@ -77,7 +82,7 @@ def png_unfiltered(filtered: Bytes, pixel_bytes: int, above: Bytes, out: Bytes) 
     `above`: the row before the first, zeros for none. Errors: `ValueError` for an unknown filter.
     Only where `UNPACKS`.
     """
-    _kernel.png_unfilter(filtered, pixel_bytes, above, out)
+    _loops.png_unfilter(filtered=filtered, pixel_bytes=pixel_bytes, above=above, out=out)
 
 
 def png_filtered(rows: Bytes, pixel_bytes: int) -> Bytes:
@@ -86,8 +91,8 @@ def png_filtered(rows: Bytes, pixel_bytes: int) -> Bytes:
     The first row has nothing above it. Returns (rows, 1 + bytes), the filter's number first.
     """
     filtered = np.empty((rows.shape[0], rows.shape[1] + 1), np.uint8)
-    if _kernel is not None:
-        _kernel.png_filter(np.ascontiguousarray(rows), pixel_bytes, filtered)
+    if _loops is not None:
+        _loops.png_filter(rows=np.ascontiguousarray(rows), pixel_bytes=pixel_bytes, out=filtered)
         return filtered
     of_left = rows.copy()
     of_left[:, pixel_bytes:] -= rows[:, :-pixel_bytes]

@@ -37,7 +37,7 @@ from .state import Entry, current, entry_of, signature
 
 def maker() -> list[str]:
     """What decides over the bytes of a stack beside its job: the version, and the engine."""
-    return [__version__, engine.active().NAME]
+    return [__version__, engine.active().name]
 
 
 def do_job(task: dict[str, Any]) -> dict[str, Any]:

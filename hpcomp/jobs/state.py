@@ -42,7 +42,7 @@ def job_key(job: Job) -> str:
     """A name of all that decides what the job writes, but for the content of its files."""
     document = {k: v for k, v in job.document().items() if k not in _WITHOUT_EFFECT}
     date = os.environ.get(SOURCE_DATE)
-    written = json.dumps([document, __version__, engine.active().NAME, date], sort_keys=True)
+    written = json.dumps([document, __version__, engine.active().name, date], sort_keys=True)
     return hashlib.sha256(written.encode()).hexdigest()
 
 

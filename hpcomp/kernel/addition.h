@@ -2,8 +2,8 @@
 
 #pragma once
 
-#include "crowd.h"
 #include "floats.h"
+#include "manyterms.h"
 
 namespace hpcomp {
 namespace {
@@ -338,16 +338,16 @@ HPCOMP_INLINE void sum_at_once(const Rules &rules, const float *p, int count, in
     scratch += number_floats(count);
     int own[kLanes];
     const int n = find_terms<kLanes>(p, count, begin, there, own);
-    int crowds = 0;
-    for (int l = 0; l < kLanes; ++l) crowds += own[l] > kPairedTerms;
+    int sorted = 0;  // lanes whose terms are sorted by hue, not paired
+    for (int l = 0; l < kLanes; ++l) sorted += own[l] > kPairedTerms;
     const bool together = n <= kTabledTerms;
-    if (together && crowds < kLanes)
+    if (together && sorted < kLanes)
         rivals_scaled_sum(rules, p, there, n, begin, scratch, neighbors, sum0, sum1);
-    if (together && crowds == 0) return;
+    if (together && sorted == 0) return;
     for (int l = 0; l < kLanes; ++l) {
         if (own[l] > kPairedTerms) {
             find_terms<1>(p, count, begin + l, there, own + l);
-            sum_of_crowd(rules, p + begin + l, there, own[l], scratch, sum0 + l, sum1 + l);
+            sum_of_many(rules, p + begin + l, there, own[l], scratch, sum0 + l, sum1 + l);
         } else if (!together) {
             float all0[kLanes], all1[kLanes];
             find_terms<1>(p, count, begin + l, there, own + l);

@@ -258,11 +258,8 @@ void finish(const Rules &rules, int64_t pixels, const State &state, const Output
         if (rules.maps != Maps::kLinear) {
             from_p(rules, n, luminance, p0, p1, lo, hi, red, green, blue);
         } else {
-            for (int i = 0; i < n; ++i) {
-                red[i] = p0[i] * rules.from_p[0][0] + p1[i] * rules.from_p[0][1] + luminance[i];
-                green[i] = p0[i] * rules.from_p[1][0] + p1[i] * rules.from_p[1][1] + luminance[i];
-                blue[i] = p0[i] * rules.from_p[2][0] + p1[i] * rules.from_p[2][1] + luminance[i];
-            }
+            for (int i = 0; i < n; ++i)
+                linear_from_p(rules, luminance[i], p0[i], p1[i], &red[i], &green[i], &blue[i]);
         }
         if (rules.gain != 1) {
             for (int i = 0; i < n; ++i) {

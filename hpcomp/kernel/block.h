@@ -19,25 +19,25 @@ enum class Factor : int { kZero, kOne, kAlpha, kRest };
 enum class Blending : int { kHuePreserving, kTraditional, kForemost };
 enum class Order : int { kBottomUp, kFrontToBack, kPermutation, kBalanced, kSimultaneous };
 
-// Terms of a pixel up to which all pairs of them are tabled; more are a crowd, see `crowd.h`. Pixels side
-// by side share a table, though their terms may be others.
+// Terms of a pixel up to which all pairs of them are tabled; more are sorted by hue, see `manyterms.h`. Pixels
+// side by side share a table, though their terms may be others.
 constexpr int kPairedTerms = 32, kTabledTerms = 64;
 
 // So that what follows is aligned as doubles are.
 constexpr int64_t rounded_up(int64_t floats) { return (floats + 1) / 2 * 2; }
 
 // Scratch of a reduction of `n` layers, in floats: p, luminance and factors of each term; at once also
-// the numbers of those with chroma, and the tables of pairs or what a crowd takes. The pairs have their
-// shoulders and supports, four rows of each term, and as ints its neighbors and their number.
+// the numbers of those with chroma, and the tables of pairs or what sorted terms take. The pairs have
+// their shoulders and supports, four rows of each term, and as ints its neighbors and their number.
 constexpr int64_t term_floats(int64_t n) { return n * 5 * kBlock; }
 constexpr int64_t tabled(int64_t n) { return n < kTabledTerms ? n : kTabledTerms; }
 constexpr int64_t number_floats(int64_t n) { return rounded_up(n + (tabled(n) + 1) * tabled(n)); }
 constexpr int64_t pair_floats(int64_t n) { return (2 * tabled(n) + 4) * tabled(n) * kLanes; }
-constexpr int64_t crowd_floats(int64_t n) { return n > kPairedTerms ? n * 47 : 0; }
+constexpr int64_t many_terms_floats(int64_t n) { return n > kPairedTerms ? n * 47 : 0; }
 constexpr int64_t reducing_floats(Order order, int64_t n) {
     if (order != Order::kSimultaneous) return 0;
-    const int64_t pairs = pair_floats(n), crowd = crowd_floats(n);
-    return number_floats(n) + (pairs > crowd ? pairs : crowd);
+    const int64_t pairs = pair_floats(n), many = many_terms_floats(n);
+    return number_floats(n) + (pairs > many ? pairs : many);
 }
 constexpr int64_t scratch_floats(Order order, int64_t n) {
     return term_floats(n) + reducing_floats(order, n);
@@ -54,6 +54,16 @@ struct OklabNumbers {
 struct CielabNumbers {
     float to_xz[2][2], from_xz[3][2];
     float inverse_largest;
+};
+
+// A blending space in numbers.
+struct SpaceMaps {
+    Maps maps;               // kHsl changes the length of p, the others have numbers of their own
+    float weight_red, weight_blue;       // luminance weights
+    float to_p[2][2];        // p from red - green and blue - green
+    float from_p[3][2];      // what p adds to each channel
+    OklabNumbers oklab;
+    CielabNumbers cielab;
 };
 
 // One layer's strip: rows of interleaved samples and what they mean.
@@ -73,7 +83,7 @@ struct Layer {
     int zero_nonfinite;     // else NaN and Inf are kept, and counted either way
 };
 
-struct Rules {
+struct Rules : SpaceMaps {
     Blending blending;
     float tolerance, inverse_tolerance;  // radians; the inverse is 0 for a hard switch
     float end_sine, end_cosine;          // of the angle from which hues differ
@@ -85,12 +95,6 @@ struct Rules {
     float background_luminance, background_p[2];
     float background_bounds[2];
     float gain;              // 2 to the exposure
-    float weight_red, weight_blue;       // luminance weights
-    float to_p[2][2];        // p from red - green and blue - green
-    float from_p[3][2];      // what p adds to each channel
-    Maps maps;               // kHsl changes the length of p, the others have numbers of their own
-    OklabNumbers oklab;
-    CielabNumbers cielab;
 };
 
 // Planes of the strip so far: luminance, p, alpha, the transmittance in front, and where the maps
@@ -99,18 +103,22 @@ struct State {
     float *luminance, *p0, *p1, *alpha, *transmittance, *lo, *hi;
 };
 
-// Where a result goes: one of four kinds of sample, RGBA interleaved.
-struct Output {
-    void *samples;
-    Sample type;
-    const float *thresholds;    // integers: linear light where each next code begins
-    const uint16_t *first_code; // integers: the code at the beginning of each bucket
+// How linear light becomes the codes of integer samples.
+struct Codes {
+    const float *thresholds;    // linear light where each next code begins
+    const uint16_t *first_code; // the code at the beginning of each bucket
     int bucket_bits;            // buckets an octave, as a power of two
     float smallest;             // a power of two below the first threshold: where buckets begin
     float lowest, darkest, highest;  // half a code value outside and above black
     int has_matrix;
     float matrix[9];            // from the working primaries to those of the codes, by rows
     double weights[3];          // luminance of these
+};
+
+// Where a result goes: one of four kinds of sample, RGBA interleaved. Floats have no codes.
+struct Output : Codes {
+    void *samples;
+    Sample type;
 };
 
 struct Losses {
@@ -126,7 +134,7 @@ struct Observer {
     void (*block)(void *self, int x, int y, int n);
 };
 
-// What the door calls; one set for each instruction set. An observer may be null.
+// What the binding calls; one set for each instruction set. An observer may be null.
 struct Engine {
     // Adds layers to the accumulated strip of `width` x `height`; `nonfinite` counts pixels a layer.
     void (*add)(const Rules &, const Layer *, const int *numbers, int count, int width, int height,

@@ -1,7 +1,8 @@
 """The fused engine: every pixel from stored samples to stored samples in one pass, in C++.
 
 Says in numbers what the rules and the decodings say in tables; the loops are in `block.cpp`, and
-what they are given is checked in `module.cpp`. Fails to import where it was not built.
+what they are given, by keyword and as enums, is checked in `module.cpp`. Fails to import where it
+was not built.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ import math
 import os
 from collections.abc import Iterable, Sequence
 from functools import cache, lru_cache
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,43 +26,85 @@ from ..color.quantization import Losses
 from ..color.samples import OUTPUT_TYPES, PLAIN, Decoding, Samples, Strip, cropped, linear_rgba
 from ..color.spaces import Coefficients, HslCoefficients, PlaneCoefficients
 from ..color.transfer import SRGB, decode_table
-from ..color.uniformspaces import CielabCoefficients, OklabCoefficients, Pairs
+from ..color.uniformspaces import CielabCoefficients, OklabCoefficients
 from ..errors import unknown_name
-from . import _kernel  # type: ignore[attr-defined]
+from . import _kernel
 
-NAME = "kernel"
-#: Whether strips are widened to float RGBA on the way.
-DECODES_IN_NUMPY = False
-#: Where its `findings` are, with all that they import.
-MEASURING = "hpcomp.kernel.measuring"
-#: Pairs of terms of the order `simultaneous` that take it a small part of a second.
-PAIRS_AT_ONCE = 1 << 24
+if TYPE_CHECKING:  # only reports need them
+    from ..measures.findings import MeasuredStrip, StackFindings
+    from ..measures.labels import Provenance
 
 #: Chooses an instruction set by name; the tests compare them.
 LEVEL_VARIABLE = "HPCOMP_KERNEL_LEVEL"
 
-#: The blendings in the order of their numbers in `block.h`.
-_BLENDINGS = ("hue-preserving", "traditional", "foremost")
+_BLENDINGS = {
+    "hue-preserving": _kernel.Blending.HUE_PRESERVING,
+    "traditional": _kernel.Blending.TRADITIONAL,
+    "foremost": _kernel.Blending.FOREMOST,
+}
 
-#: The numbers of the reductions in `block.h`.
-_BOTTOM_UP, _FRONT_TO_BACK, _PERMUTATION, _BALANCED, _SIMULTANEOUS = range(5)
+_FOLDS = {
+    Reduction.BOTTOM_UP: _kernel.Order.BOTTOM_UP,
+    Reduction.FRONT_TO_BACK: _kernel.Order.FRONT_TO_BACK,
+}
+#: Of what reduces all layers at once; any other order is a permutation to the loops.
+_ORDERS = {
+    "balanced": _kernel.Order.BALANCED,
+    "simultaneous": _kernel.Order.SIMULTANEOUS,
+}
+
+_FACTORS = {
+    Factor.ZERO: _kernel.Factor.ZERO,
+    Factor.ONE: _kernel.Factor.ONE,
+    Factor.ALPHA: _kernel.Factor.ALPHA,
+    Factor.REST: _kernel.Factor.REST,
+}
 
 
 def levels() -> list[str]:
     """The instruction sets that were built and that this processor runs, the fastest last."""
-    return list(_kernel.levels())
+    return _kernel.levels()
 
 
-def start(rules: StackRules, width: int, height: int, dtype: Any = np.float32) -> Accumulator:
-    """An empty accumulator for a strip of that size."""
-    return Accumulator(rules, width, height)
+class KernelEngine:
+    """The contract's `Engine` in C++."""
+
+    name = "kernel"
+    decodes_in_numpy = False
+    pairs_at_once = 1 << 24
+
+    def start(
+        self, rules: StackRules, width: int, height: int, dtype: Any = np.float32
+    ) -> Accumulator:
+        """An empty accumulator for a strip of that size, whose planes are float32."""
+        return Accumulator(rules, width, height)
+
+    def bytes_to_reduce(self, rules: StackRules, layers: int) -> int:
+        """Scratch for the terms of a block, and for what reduces them."""
+        if rules.reduction is not Reduction.ALL_LAYERS:
+            return 0
+        return _kernel.scratch_bytes(order=_order_of(rules), layers=layers)
+
+    def measures(self, rules: StackRules) -> bool:
+        """It measures in linear spaces alone."""
+        return rules.space.linear
+
+    def findings(self, strip: MeasuredStrip) -> tuple[StackFindings, Provenance | None]:
+        """The findings of a strip, and its provenance planes (height, width) where wanted."""
+        from .measuring import StripMeasures
+
+        measures, rules = StripMeasures(strip), strip.rules
+        layers = [
+            layer_of(rules, number, layer, strip.width, strip.height)[0]
+            for number, layer in enumerate(strip.strips)
+        ]
+        _kernel.measure(
+            rules=rules_of(rules), layers=layers, measures=measures.sums, level=chosen_level()
+        )
+        return measures.findings()
 
 
-def bytes_to_reduce(rules: StackRules, layers: int) -> int:
-    """Memory that a strip of so many layers takes beside its samples, whatever its size."""
-    if rules.reduction is not Reduction.ALL_LAYERS:
-        return 0
-    return int(_kernel.scratch_bytes(_order_of(rules), layers))
+ENGINE = KernelEngine()
 
 
 class Accumulator:
@@ -71,7 +114,9 @@ class Accumulator:
         self.rules, self.shape = rules, (height, width, 4)
         self.nonfinite = [0] * len(rules.operators)
         self._decoded: set[int] = set()  # layers whose broken pixels were counted by numpy
-        self._strip = _kernel.Accumulator(rules_of(rules), width, height, chosen_level())
+        self._strip = _kernel.Accumulator(
+            rules=rules_of(rules), width=width, height=height, level=chosen_level()
+        )
 
     def add(self, numbers: Sequence[int], strips: Sequence[Strip]) -> None:
         """Layers by number; `nonfinite` counts their pixels with NaN or Inf."""
@@ -82,27 +127,42 @@ class Accumulator:
             if broken is not None:
                 self.nonfinite[number] = broken
                 self._decoded.add(number)
-        self._count(numbers, self._strip.add(list(numbers), layers))
+        self._count(numbers, self._strip.add(numbers=list(numbers), layers=layers))
 
     def _count(self, numbers: Iterable[int], counts: Sequence[int]) -> None:
         for number, count in zip(numbers, counts, strict=False):
             if number not in self._decoded:
                 self.nonfinite[number] += count
 
-    def result(
-        self, kind: str, losses: Losses, gamut: Primaries = REC709, measures: Any = None
-    ) -> Samples:
-        """The composite (height, width, 4), as samples of that kind; codes are of that gamut.
+    def result(self, kind: str, losses: Losses, gamut: Primaries = REC709) -> Samples:
+        """The composite (height, width, 4), as samples of that kind; codes are of that gamut."""
+        return self._result(kind, losses, gamut)
 
-        `measures`: a `_kernel.Measures` to add to; all layers have been added at once.
-        """
+    def result_and_findings(
+        self, kind: str, losses: Losses, gamut: Primaries, strip: MeasuredStrip
+    ) -> tuple[Samples, StackFindings, Provenance | None]:
+        """The samples of the accumulated strip and its findings, from one pass."""
+        from .measuring import StripMeasures
+
+        measures = StripMeasures(strip)
+        samples = self._result(kind, losses, gamut, measures.sums)
+        return samples, *measures.findings()
+
+    def _result(
+        self, kind: str, losses: Losses, gamut: Primaries, measures: _kernel.Measures | None = None
+    ) -> Samples:
+        """`measures`: a `_kernel.Measures` to add to; all layers have been added at once."""
         out = np.empty(self.shape, OUTPUT_TYPES[kind])
         codes = _codes(out.dtype, self.rules.primaries, gamut)
-        counts, nonfinite = self._strip.result(out, *codes, measures)
-        losses.out_of_gamut += counts[0]
-        losses.light_without_alpha += counts[1]
-        losses.not_a_number += counts[2]
-        losses.beyond_half += counts[3]
+        lost, nonfinite = self._strip.result(out=out, codes=codes, measures=measures)
+        losses.add(
+            Losses(
+                out_of_gamut=lost.out_of_gamut,
+                light_without_alpha=lost.light_without_alpha,
+                not_a_number=lost.not_a_number,
+                beyond_half=lost.beyond_half,
+            )
+        )
         self._count(self.rules.arrival, nonfinite)
         return out
 
@@ -117,7 +177,7 @@ def chosen_level() -> str:
 
 def layer_of(
     rules: StackRules, number: int, strip: Strip, width: int, height: int
-) -> tuple[Any, int | None]:
+) -> tuple[_kernel.Layer, int | None]:
     """A layer for the loops, and how many pixels are broken where numpy had to decode it."""
     broken = None
     if not strip.decoding.is_plain(strip.samples):
@@ -126,94 +186,103 @@ def layer_of(
         strip = Strip(rgba, PLAIN, strip.left, strip.top)
     samples, decoding = strip.samples, strip.decoding
     operator = rules.operators[number]
-    factors = (Factor.ONE, Factor.ZERO)
+    factor_a, factor_b = Factor.ONE, Factor.ZERO
     if operator is not None:
-        factors = (operator.factor_a, operator.factor_b)
+        factor_a, factor_b = operator.factor_a, operator.factor_b
     layer = _kernel.layer(
-        samples,
-        _table(samples, decoding),
-        decoding.alpha_mode == "straight",
-        _matrix(decoding.encoding.primaries, decoding.working),
-        strip.left,
-        strip.top,
-        rules.opacities[number],
-        *map(int, factors),
-        operator is not None and operator.behind,
-        decoding.zero_nonfinite,
+        samples=samples,
+        decode=_table(samples, decoding),
+        alpha_straight=decoding.alpha_mode == "straight",
+        matrix=_matrix(decoding.encoding.primaries, decoding.working),
+        left=strip.left,
+        top=strip.top,
+        opacity=rules.opacities[number],
+        factor_a=_FACTORS[factor_a],
+        factor_b=_FACTORS[factor_b],
+        behind=operator is not None and operator.behind,
+        zero_nonfinite=decoding.zero_nonfinite,
     )
     return layer, broken
 
 
 @lru_cache(maxsize=8)
-def rules_of(rules: StackRules) -> Any:
+def rules_of(rules: StackRules) -> _kernel.Rules:
     """The rules in numbers, for the loops."""
-    n, space = len(rules.operators), rules.blending_space
+    n = len(rules.operators)
     sequence = rules.order.sequence
     if rules.order is ORDERS["top-down"]:
         sequence = tuple(reversed(range(n)))
-    background, background_bounds = None, [0.0, 0.0]
-    if rules.background is not None:
-        color = np.array(rules.background, np.float32)[:, None]
-        luminance, p = space.forward(color)
-        background = [float(luminance[0]), float(p[0, 0]), float(p[1, 0])]
-        if not space.linear:
-            background_bounds = [float(value) for value in bounds_of(space, color, 1.0)[:, 0]]
-    weights, to_p, from_p, maps, numbers = _maps(space.coefficients)
     return _kernel.rules(
-        _BLENDINGS.index(rules.blending.name),
-        math.radians(rules.hue_tolerance),
-        ROUNDING_ANGLE,
-        rules.gray_bias,
-        _order_of(rules),
-        list(sequence),
-        n,
-        background,
-        2.0**rules.exposure,
-        list(weights),
-        _flat(to_p),
-        _flat(from_p),
-        maps,
-        numbers,
-        background_bounds,
+        blending=_BLENDINGS[rules.blending.name],
+        hue_tolerance=math.radians(rules.hue_tolerance),
+        rounding_angle=ROUNDING_ANGLE,
+        gray_bias=rules.gray_bias,
+        order=_order_of(rules),
+        permutation=list(sequence),
+        layers=n,
+        background=_background(rules),
+        gain=2.0**rules.exposure,
+        space=_maps(rules.blending_space.coefficients),
     )
 
 
-def _order_of(rules: StackRules) -> int:
-    match rules.reduction:
-        case Reduction.BOTTOM_UP:
-            return _BOTTOM_UP
-        case Reduction.FRONT_TO_BACK:
-            return _FRONT_TO_BACK
-    if rules.order is ORDERS["balanced"]:
-        return _BALANCED
-    if rules.order is ORDERS["simultaneous"]:
-        return _SIMULTANEOUS
-    return _PERMUTATION
+def _order_of(rules: StackRules) -> _kernel.Order:
+    fold = _FOLDS.get(rules.reduction)
+    return _ORDERS.get(rules.order.name, _kernel.Order.PERMUTATION) if fold is None else fold
 
 
-def _flat(*pairs: Pairs) -> list[float]:
-    return [value for rows in pairs for row in rows for value in row]
+def _background(rules: StackRules) -> _kernel.Background | None:
+    """The background as a term, and in a space that is not linear what bounds its channels."""
+    if rules.background is None:
+        return None
+    space, color = rules.blending_space, np.array(rules.background, np.float32)[:, None]
+    luminance, p = space.forward(color)
+    lo, hi = (0.0, 0.0) if space.linear else bounds_of(space, color, 1.0)[:, 0].tolist()
+    return _kernel.background(luminance=float(luminance[0]), p=p[:, 0].tolist(), lo=lo, hi=hi)
 
 
-def _maps(found: Coefficients) -> tuple[tuple[float, float], Pairs, Pairs, int, list[float]]:
-    """The maps of a space: weights, to and from p, and by the number of `Maps` the rest."""
-    none = ((0.0, 0.0),) * 3
+def _maps(found: Coefficients) -> _kernel.SpaceMaps:
+    """The maps of a space."""
     match found:
         case PlaneCoefficients():
-            return found.weights, found.to_p, found.from_p, 0, []
-        case HslCoefficients(plane):
-            return plane.weights, plane.to_p, plane.from_p, 1, []
+            return _kernel.linear_maps(**_plane(found))
+        case HslCoefficients(plane=plane):
+            return _kernel.hsl_maps(**_plane(plane))
+    weight_red, weight_blue = found.weights
+    match found:
         case OklabCoefficients():
-            numbers = _flat(found.to_lms, found.to_lab, found.to_roots, found.from_lms)
-            return found.weights, none[:2], none, 2, [*numbers, 1 / found.largest]
+            return _kernel.oklab_maps(
+                weight_red=weight_red,
+                weight_blue=weight_blue,
+                to_lms=found.to_lms,
+                to_lab=found.to_lab,
+                to_roots=found.to_roots,
+                from_lms=found.from_lms,
+                inverse_largest=1 / found.largest,
+            )
         case CielabCoefficients():
-            numbers = _flat(found.to_xz, found.from_xz)
-            return found.weights, none[:2], none, 3, [*numbers, 1 / found.largest]
+            return _kernel.cielab_maps(
+                weight_red=weight_red,
+                weight_blue=weight_blue,
+                to_xz=found.to_xz,
+                from_xz=found.from_xz,
+                inverse_largest=1 / found.largest,
+            )
+
+
+def _plane(found: PlaneCoefficients) -> dict[str, Any]:
+    weight_red, weight_blue = found.weights
+    return {
+        "weight_red": weight_red,
+        "weight_blue": weight_blue,
+        "to_p": found.to_p,
+        "from_p": found.from_p,
+    }
 
 
 def _table(samples: Samples, decoding: Decoding) -> NDArray[np.float32] | None:
     if samples.dtype not in (np.uint8, np.uint16):
-        return None  # the door refuses what is neither codes nor floats
+        return None  # the binding refuses what is neither codes nor floats
     return decode_table(decoding.encoding.transfer, int(np.iinfo(samples.dtype).max))
 
 
@@ -230,15 +299,24 @@ _BUCKET_BITS = {8: 7, 16: 12}
 @cache
 def _codes(
     dtype: np.dtype[Any], working: Primaries = REC709, gamut: Primaries = REC709
-) -> tuple[Any, ...]:
-    """How linear light becomes code values: thresholds, the first code of each bucket, limits, the
-    way from the working primaries to those of the codes, and the luminance weights of these.
-
-    A code begins half a step below its value. Buckets are runs of float32 numbers, found by
-    shifting their bits; from the first code of its bucket a value climbs to its own.
-    """
+) -> _kernel.Codes | None:
+    """How linear light of the working primaries becomes codes of that gamut; None for floats."""
     if dtype.kind != "u":
-        return None, None, 1, [0.0, 0.0, 0.0, 0.0], None, [0.0, 0.0, 0.0]
+        return None
+    return _kernel.codes(
+        **code_tables(dtype),
+        matrix=_matrix(working, gamut),
+        luminance_weights=list(to_xyz(gamut)[1]),
+    )
+
+
+def code_tables(dtype: np.dtype[Any]) -> dict[str, Any]:
+    """What `_kernel.codes` needs to know of a depth, by keyword.
+
+    A code begins half a step below its value, at its threshold. Buckets are runs of float32
+    numbers, found by shifting their bits; from the first code of its bucket a value climbs to its
+    own.
+    """
     largest = int(np.iinfo(dtype).max)
     steps = (np.arange(largest) + 0.5) / largest
     thresholds = np.append(SRGB.decode(steps), np.inf).astype(np.float32)
@@ -249,8 +327,14 @@ def _codes(
     begins = (start_bits + (np.arange((octaves << bits) + 1, dtype=np.uint32) << (23 - bits))).view(
         np.float32
     )
-    first_code = np.searchsorted(thresholds, begins, side="right").astype(np.uint16)
     half_code = 0.5 / largest
     lowest, darkest, highest = SRGB.decode(np.array([-half_code, half_code, 1 + half_code]))
-    limits = [float(lowest), float(darkest), float(highest), smallest]
-    return thresholds, first_code, bits, limits, _matrix(working, gamut), list(to_xyz(gamut)[1])
+    return {
+        "thresholds": thresholds,
+        "first_code": np.searchsorted(thresholds, begins, side="right").astype(np.uint16),
+        "bucket_bits": bits,
+        "smallest": smallest,
+        "lowest": float(lowest),
+        "darkest": float(darkest),
+        "highest": float(highest),
+    }

@@ -9,8 +9,8 @@ namespace hpcomp {
 namespace {
 
 struct Hues {
-    int64_t *bins;    // (bins, kHueColumns)
-    int64_t *others;  // (kOthers)
+    int64_t *bins;        // (bins, kHueColumns)
+    OtherPixels *others;
 };
 
 // Largest, their difference, and the larger of their sizes.
@@ -26,7 +26,7 @@ HPCOMP_INLINE void span_of(float red, float green, float blue, float *largest, f
 // and chosen from, some by masks: branches would keep the loop from being vectorised.
 template <bool kFinite>
 HPCOMP_INLINE void find_bins(const MeasureRules &measures, int n, ConstRow red, ConstRow green,
-                             ConstRow blue, ConstRow alpha, int32_t *bin, int64_t *others) {
+                             ConstRow blue, ConstRow alpha, int32_t *bin, OtherPixels *others) {
     const int bins = measures.bins;
     const float bins_of_sextant = float(bins / 6.0), achromatic = measures.achromatic;
     int nonfinite = 0, transparent = 0, grey = 0;
@@ -58,9 +58,9 @@ HPCOMP_INLINE void find_bins(const MeasureRules &measures, int n, ConstRow red, 
         const int32_t found = around - (bins & ~((around - bins) >> 31));
         bin[i] = int32_t((uint32_t(found) & has_hue) | (uint32_t(bins) & ~has_hue));
     }
-    others[kNonfinite] += nonfinite;
-    others[kTransparent] += transparent;
-    others[kGrey] += grey;
+    others->nonfinite += nonfinite;
+    others->transparent += transparent;
+    others->grey += grey;
 }
 
 // Pixels that are added at once where they share a bin; sums of so many small addends fit 32 bits.

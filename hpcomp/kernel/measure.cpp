@@ -107,32 +107,28 @@ void winners(const Block &block, const Support &support, Row winner, Row size) {
 }
 
 // Adds what the terms are, whatever becomes of them.
-void add_terms(const Block &block, int64_t *sums) {
+void add_terms(const Block &block, ContributorSums *sums) {
     const float half_step = block.measures.half_step;
     for (int a = 0; a < block.actives; ++a) {
         const int k = block.active[a];
         const float *size = block.size + k * kBlock;
-        int64_t *own = sums + kResultSums + k * kContributorSums;
         int pixels = 0;
         for (int i = 0; i < block.n; ++i) pixels += size[i] > half_step;
-        own[kPixels] += pixels;
-        own[kTermSum] += sum_of(size, block.n, block.small);
+        sums[k].pixels += pixels;
+        sums[k].chroma += sum_of(size, block.n, block.small);
     }
 }
 
 // Measures one result of the block; fills `chromatic`.
 void measure_result(const Block &block, ConstRow p0, ConstRow p1, const Support &support,
-                    int64_t *sums, Hues hues, Row chromatic) {
+                    ResultSums *sums, ContributorSums *contributors, Hues hues, Row chromatic) {
     const Rules rules = block.rules;
     const float half_step = block.measures.half_step, achromatic = block.measures.achromatic;
     const int n = block.n;
     ConstRow luminances = block.luminance, total = block.total;
     Plane red, green, blue, foreign, of_near, of_others, values;
     for (int i = 0; i < n; ++i) {
-        const float luminance = luminances[i];
-        red[i] = p0[i] * rules.from_p[0][0] + p1[i] * rules.from_p[0][1] + luminance;
-        green[i] = p0[i] * rules.from_p[1][0] + p1[i] * rules.from_p[1][1] + luminance;
-        blue[i] = p0[i] * rules.from_p[2][0] + p1[i] * rules.from_p[2][1] + luminance;
+        linear_from_p(rules, luminances[i], p0[i], p1[i], &red[i], &green[i], &blue[i]);
         float largest, difference, size;
         span_of(red[i], green[i], blue[i], &largest, &difference, &size);
         const bool has_chroma = support.size[i] > half_step;
@@ -144,31 +140,30 @@ void measure_result(const Block &block, ConstRow p0, ConstRow p1, const Support 
         of_others[i] = part_of(support.size[i] - support.backing[i], total[i] - support.backing[i]);
     }
     const bool small = add_hues(block.measures, n, red, green, blue, block.alpha, support.size, hues);
-    add_terms(block, sums);
-    sums[kChromatic] += count_of(chromatic, n);
-    sums[kChromaSum] += sum_of(values, n, block.small);
+    add_terms(block, contributors);
+    sums->chromatic += count_of(chromatic, n);
+    sums->chroma += sum_of(values, n, block.small);
     const int64_t foreigners = count_of(foreign, n);
     if (foreigners) {
-        sums[kForeign] += foreigners;
+        sums->foreign += foreigners;
         for (int i = 0; i < n; ++i) values[i] = foreign[i] * support.size[i];
-        sums[kForeignChroma] += sum_of(values, n, block.small);
+        sums->foreign_chroma += sum_of(values, n, block.small);
     }
     const float *channels[3] = {red, green, blue};
     for (int channel = 0; channel < 3; ++channel) {
         for (int i = 0; i < n; ++i) values[i] = larger(channels[channel][i], 0.0f);
-        sums[kLight + channel] += sum_of(values, n, small);
+        sums->light[channel] += sum_of(values, n, small);
     }
     for (int a = 0; a < block.actives; ++a) {
         const int k = block.active[a];
-        int64_t *own = sums + kResultSums + k * kContributorSums;
         ConstRow size = block.size + k * kBlock, near = block.near + k * kBlock;
         int survived = 0;
         for (int i = 0; i < n; ++i) {
             survived += (size[i] > half_step) & (chromatic[i] * near[i] != 0);
             values[i] = size[i] * (near[i] != 0 ? of_near[i] : of_others[i]);
         }
-        own[kSurvived] += survived;
-        own[kKept] += sum_of(values, n, block.small);
+        contributors[k].survived += survived;
+        contributors[k].kept += sum_of(values, n, block.small);
     }
 }
 
@@ -336,7 +331,7 @@ struct Scratch {
 };
 
 Hues hues_of(const Measurer &of, int k) {
-    return {of.found->hues + int64_t(k) * of.measures->bins * kHueColumns, of.found->others + k * kOthers};
+    return {of.found->hues + int64_t(k) * of.measures->bins * kHueColumns, of.found->others + k};
 }
 
 // Keeps a block of a layer as a term, and adds its colours to its histogram.
@@ -353,7 +348,7 @@ void observe_term(void *self, int k, int n, const float *red, const float *green
         std::memset(to, 0, sizeof(Plane));
     }
     if (nothing) {
-        hues_of(of, k).others[kTransparent] += n;
+        hues_of(of, k).others->transparent += n;
         return;
     }
     Plane chroma;
@@ -400,8 +395,8 @@ void observe_block(void *self, int column, int row, int n) {
     Support support;
     const auto measure_as = [&](int which) {
         support_of(block, p0, p1, &support);
-        measure_result(block, p0, p1, support,
-                       of.found->results + which * (kResultSums + kContributorSums * (count + 1)),
+        measure_result(block, p0, p1, support, of.found->results + which,
+                       of.found->contributors + int64_t(which) * (count + 1),
                        hues_of(of, count + which), chromatic);
     };
     for (int i = 0; i < n; ++i) p0[i] = p1[i] = 0;

@@ -19,10 +19,16 @@ struct MeasureRules {
 constexpr int kHueColumns = 8;
 enum HueColumn { kCount, kChroma, kAlpha, kRed, kGreen, kBlue };
 // Pixels without a bin.
-enum OtherPixels { kGrey, kTransparent, kNonfinite, kOthers };
-// Of one result: pixels and sums, then kContributor numbers of each layer and of the background.
-enum ResultSum { kChromatic, kChromaSum, kForeign, kForeignChroma, kLight, kResultSums = kLight + 3 };
-enum ContributorSum { kPixels, kSurvived, kTermSum, kKept, kContributorSums };
+struct OtherPixels {
+    int64_t grey, transparent, nonfinite;
+};
+// Of one result: pixels and sums, and those of each layer and of the background.
+struct ResultSums {
+    int64_t chromatic, chroma, foreign, foreign_chroma, light[3];
+};
+struct ContributorSums {
+    int64_t pixels, survived, chroma, kept;
+};
 
 // The values of each pixel, where they are wanted; else null.
 struct Provenance {
@@ -36,9 +42,10 @@ enum Result { kAsBlended, kTraditional, kBothResults, kResults };
 // Everything is added to what is there, but for the provenance, which is set.
 struct Measures {
     int64_t unmeasured, order_sensitive;
-    int64_t *results;  // (kResults, kResultSums + kContributorSums * (layers + 1))
-    int64_t *hues;     // (layers + kResults, bins, kHueColumns): the layers', then the results'
-    int64_t *others;   // (layers + kResults, kOthers)
+    ResultSums *results;            // (kResults)
+    ContributorSums *contributors;  // (kResults, layers + 1)
+    int64_t *hues;                  // (layers + kResults, bins, kHueColumns): the layers', then the results'
+    OtherPixels *others;            // (layers + kResults)
     Provenance provenance;
 };
 

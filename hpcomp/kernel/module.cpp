@@ -1,5 +1,5 @@
-// The door between Python and the loops: every array, size and number is checked here, so that the
-// loops need not. Nothing is computed on pixels.
+// The binding of the loops to Python: every array, size and number is checked here, so that the loops
+// need not. All is passed by keyword, and choices as enums. Nothing is computed on pixels.
 
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
@@ -8,19 +8,19 @@
 #include <nanobind/stl/pair.h>
 #include <nanobind/stl/shared_ptr.h>
 #include <nanobind/stl/string.h>
+#include <nanobind/stl/tuple.h>
 #include <nanobind/stl/unique_ptr.h>
 #include <nanobind/stl/vector.h>
 
 #include <algorithm>
 #include <cmath>
-#include <cstring>
-#include <initializer_list>
 #include <limits>
 #include <memory>
-#include <stdexcept>
+#include <tuple>
 #include <type_traits>
+#include <utility>
 
-#include "door.h"
+#include "binding.h"
 #include "levels.h"
 
 namespace nb = nanobind;
@@ -43,7 +43,7 @@ int checked_coordinate(int64_t value) {
 
 using AnyArray = nb::ndarray<nb::ro, nb::device::cpu>;
 using Table = nb::ndarray<const float, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
-using CodeTable = nb::ndarray<const uint16_t, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
+using FirstCodes = nb::ndarray<const uint16_t, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
 
 Sample sample_of(nb::dlpack::dtype type) {
     if (type == nb::dtype<uint8_t>()) return Sample::kU8;
@@ -51,11 +51,6 @@ Sample sample_of(nb::dlpack::dtype type) {
     if (type == nb::dtype<float>()) return Sample::kFloat;
     if (is_half(type)) return Sample::kHalf;
     throw nb::type_error("samples must be uint8, uint16, float16 or float32");
-}
-
-Factor factor_of(int value) {
-    if (value < 0 || value > int(Factor::kRest)) throw nb::value_error("unknown factor");
-    return Factor(value);
 }
 
 // A layer's strip, and what keeps its arrays alive.
@@ -67,7 +62,7 @@ struct StripLayer {
 
 StripLayer make_layer(AnyArray samples, std::optional<Table> decode, bool alpha_straight,
                       std::optional<std::array<float, 9>> matrix, int64_t left, int64_t top,
-                      float opacity, int factor_a, int factor_b, bool behind, bool zero_nonfinite) {
+                      float opacity, Factor factor_a, Factor factor_b, bool behind, bool zero_nonfinite) {
     StripLayer made;
     Layer &layer = made.layer;
     if (samples.ndim() != 3) throw nb::value_error("samples must be rows x columns x channels");
@@ -93,20 +88,79 @@ StripLayer make_layer(AnyArray samples, std::optional<Table> decode, bool alpha_
     layer.channels = int(channels);
     layer.alpha_straight = alpha_straight;
     layer.has_matrix = matrix.has_value();
-    if (matrix)
-        for (int i = 0; i < 9; ++i) layer.matrix[i] = (*matrix)[i];
+    if (matrix) std::copy(matrix->begin(), matrix->end(), layer.matrix);
     layer.left = checked_coordinate(left);
     layer.top = checked_coordinate(top);
     layer.width = checked_coordinate(width);
     layer.height = checked_coordinate(height);
     if (!(opacity >= 0 && opacity <= 1)) throw nb::value_error("opacity must be from 0 to 1");
     layer.opacity = opacity;
-    layer.factor_a = factor_of(factor_a);
-    layer.factor_b = factor_of(factor_b);
+    layer.factor_a = factor_a;
+    layer.factor_b = factor_b;
     layer.behind = behind;
     layer.zero_nonfinite = zero_nonfinite;
     made.samples = std::move(samples);
     return made;
+}
+
+// Rows of two coefficients.
+template <size_t kRows> using Pairs = std::array<std::array<float, 2>, kRows>;
+
+template <size_t kRows> void copy(const Pairs<kRows> &from, float (&to)[kRows][2]) {
+    for (size_t row = 0; row < kRows; ++row) std::copy(from[row].begin(), from[row].end(), to[row]);
+}
+
+SpaceMaps make_plane(Maps maps, float weight_red, float weight_blue, const Pairs<2> &to_p,
+                     const Pairs<3> &from_p) {
+    SpaceMaps made{};
+    made.maps = maps, made.weight_red = weight_red, made.weight_blue = weight_blue;
+    copy(to_p, made.to_p);
+    copy(from_p, made.from_p);
+    return made;
+}
+
+SpaceMaps make_linear(float weight_red, float weight_blue, const Pairs<2> &to_p, const Pairs<3> &from_p) {
+    return make_plane(Maps::kLinear, weight_red, weight_blue, to_p, from_p);
+}
+
+SpaceMaps make_hsl(float weight_red, float weight_blue, const Pairs<2> &to_p, const Pairs<3> &from_p) {
+    return make_plane(Maps::kHsl, weight_red, weight_blue, to_p, from_p);
+}
+
+float checked_bound(float inverse_largest) {
+    if (!(inverse_largest > 0)) throw nb::value_error("the bound of |p|/Y must be positive");
+    return inverse_largest;
+}
+
+SpaceMaps make_oklab(float weight_red, float weight_blue, const Pairs<3> &to_lms, const Pairs<3> &to_lab,
+                     const Pairs<3> &to_roots, const Pairs<3> &from_lms, float inverse_largest) {
+    SpaceMaps made{};
+    made.maps = Maps::kOklab, made.weight_red = weight_red, made.weight_blue = weight_blue;
+    copy(to_lms, made.oklab.to_lms);
+    copy(to_lab, made.oklab.to_lab);
+    copy(to_roots, made.oklab.to_roots);
+    copy(from_lms, made.oklab.from_lms);
+    made.oklab.inverse_largest = checked_bound(inverse_largest);
+    return made;
+}
+
+SpaceMaps make_cielab(float weight_red, float weight_blue, const Pairs<2> &to_xz, const Pairs<3> &from_xz,
+                      float inverse_largest) {
+    SpaceMaps made{};
+    made.maps = Maps::kCielab, made.weight_red = weight_red, made.weight_blue = weight_blue;
+    copy(to_xz, made.cielab.to_xz);
+    copy(from_xz, made.cielab.from_xz);
+    made.cielab.inverse_largest = checked_bound(inverse_largest);
+    return made;
+}
+
+// A colour that lies below the stack, and what bounds its channels.
+struct Background {
+    float luminance, p[2], bounds[2];
+};
+
+Background make_background(float luminance, std::array<float, 2> p, float lo, float hi) {
+    return {luminance, {p[0], p[1]}, {lo, hi}};
 }
 
 // Rules with the permutation that they point to.
@@ -115,23 +169,18 @@ struct StackRules {
     std::vector<int> permutation;
 };
 
-std::shared_ptr<StackRules> make_rules(int blending, float tolerance, float rounding_angle,
-                                       float gray_bias, int order, std::vector<int> permutation, int layers,
-                                       std::optional<std::array<float, 3>> background, float gain,
-                                       std::array<float, 2> weights, std::array<float, 4> to_p,
-                                       std::array<float, 6> from_p, int maps,
-                                       const std::vector<float> &numbers,
-                                       std::array<float, 2> background_bounds) {
+std::shared_ptr<StackRules> make_rules(Blending blending, float hue_tolerance, float rounding_angle,
+                                       float gray_bias, Order order, std::vector<int> permutation,
+                                       int layers, const Background *background, float gain,
+                                       const SpaceMaps &space) {
     auto made = std::make_shared<StackRules>();
     Rules &rules = made->rules;
     if (layers < 1 || layers > (1 << 20)) throw nb::value_error("a stack needs layers");
-    if (order < 0 || order > int(Order::kSimultaneous)) throw nb::value_error("unknown order");
-    if (blending < 0 || blending > int(Blending::kForemost)) throw nb::value_error("unknown blending");
     // The folds of other orders do not know who is in front.
-    if (Blending(blending) == Blending::kForemost && Order(order) != Order::kBottomUp)
+    if (blending == Blending::kForemost && order != Order::kBottomUp)
         throw nb::value_error("the foremost is found from the bottom up");
     if (!(gray_bias >= 0 && gray_bias <= 1)) throw nb::value_error("gray bias must be from 0 to 1");
-    if (Order(order) == Order::kPermutation) {
+    if (order == Order::kPermutation) {
         std::vector<bool> seen(size_t(layers), false);
         if (permutation.size() != size_t(layers)) throw nb::value_error("not a permutation");
         for (const int number : permutation) {
@@ -141,64 +190,90 @@ std::shared_ptr<StackRules> make_rules(int blending, float tolerance, float roun
         }
     }
     made->permutation = std::move(permutation);
-    rules.blending = Blending(blending);
+    static_cast<SpaceMaps &>(rules) = space;
+    rules.blending = blending;
     rules.gray_power = 3 * gray_bias;
     // Without a tolerance the switch is hard, at what float rounding turns a vector by.
-    rules.tolerance = tolerance > 0 ? tolerance : rounding_angle;
-    rules.inverse_tolerance = tolerance > 0 ? 1 / tolerance : 0;
-    const float end = tolerance > 0 ? std::min(2 * tolerance, 3.14159265f) : rules.tolerance;
+    rules.tolerance = hue_tolerance > 0 ? hue_tolerance : rounding_angle;
+    rules.inverse_tolerance = hue_tolerance > 0 ? 1 / hue_tolerance : 0;
+    const float end = hue_tolerance > 0 ? std::min(2 * hue_tolerance, 3.14159265f) : rules.tolerance;
     rules.end_sine = std::sin(end);
     rules.end_cosine = std::cos(end);
-    rules.order = Order(order);
+    rules.order = order;
     rules.permutation = made->permutation.data();
     rules.layers = layers;
-    rules.has_background = background.has_value();
+    rules.has_background = background != nullptr;
     if (background) {
-        rules.background_luminance = (*background)[0];
-        rules.background_p[0] = (*background)[1];
-        rules.background_p[1] = (*background)[2];
+        rules.background_luminance = background->luminance;
+        std::copy(std::begin(background->p), std::end(background->p), rules.background_p);
+        std::copy(std::begin(background->bounds), std::end(background->bounds), rules.background_bounds);
     }
     rules.gain = gain;
-    rules.weight_red = weights[0];
-    rules.weight_blue = weights[1];
-    for (int i = 0; i < 4; ++i) rules.to_p[i / 2][i % 2] = to_p[size_t(i)];
-    for (int i = 0; i < 6; ++i) rules.from_p[i / 2][i % 2] = from_p[size_t(i)];
-    if (maps < 0 || maps > int(Maps::kCielab)) throw nb::value_error("unknown maps");
-    rules.maps = Maps(maps);
-    for (int i = 0; i < 2; ++i) rules.background_bounds[i] = background_bounds[size_t(i)];
-    // Structures of floats alone, in the sequence of their fields; the last is an inverse.
-    static_assert(sizeof(OklabNumbers) == 25 * sizeof(float) && sizeof(CielabNumbers) == 11 * sizeof(float));
-    const size_t needed = rules.maps == Maps::kOklab ? 25 : rules.maps == Maps::kCielab ? 11 : 0;
-    if (numbers.size() != needed) throw nb::value_error("other numbers belong to these maps");
-    if (needed && !(numbers.back() > 0)) throw nb::value_error("the bound of |p|/Y must be positive");
-    if (rules.maps == Maps::kOklab) std::memcpy(&rules.oklab, numbers.data(), sizeof rules.oklab);
-    if (rules.maps == Maps::kCielab) std::memcpy(&rules.cielab, numbers.data(), sizeof rules.cielab);
     return made;
 }
 
-using Sums = nb::ndarray<int64_t, nb::c_contig, nb::device::cpu>;
+// Codes with the tables that they point to: copies, which nobody changes once they are checked.
+struct CodeTables {
+    Codes codes{};
+    std::vector<float> thresholds;
+    std::vector<uint16_t> first_code;
+};
+
+std::shared_ptr<CodeTables> make_codes(Table thresholds, FirstCodes first_code, int bucket_bits,
+                                       float smallest, float lowest, float darkest, float highest,
+                                       std::optional<std::array<float, 9>> matrix,
+                                       std::array<double, 3> luminance_weights) {
+    auto made = std::make_shared<CodeTables>();
+    const size_t count = thresholds.shape(0);
+    if (count != 256 && count != 65536)
+        throw nb::value_error("integer output needs a threshold for each code");
+    check_aligned(thresholds.data(), sizeof(float));
+    made->thresholds.assign(thresholds.data(), thresholds.data() + count);
+    // The last one is infinite: no value passes it, and no code beyond it exists.
+    for (size_t i = 0; i < count; ++i)
+        if (!(made->thresholds[i] > (i ? made->thresholds[i - 1] : 0.0f)))
+            throw nb::value_error("thresholds must increase");
+    if (made->thresholds.back() != std::numeric_limits<float>::infinity())
+        throw nb::value_error("the last threshold must be infinite");
+    if (bucket_bits < 1 || bucket_bits > 16) throw nb::value_error("bucket_bits out of range");
+    int octaves = 0;
+    for (float edge = smallest; edge > 0 && edge < 1 && octaves < 64; edge *= 2) ++octaves;
+    if (!(smallest > 0) || octaves < 1 || octaves >= 64 || std::ldexp(1.0f, -octaves) != smallest)
+        throw nb::value_error("buckets must begin at a power of two below 1");
+    if (first_code.shape(0) != (size_t(octaves) << bucket_bits) + 1)
+        throw nb::value_error("a first code for each bucket is needed");
+    check_aligned(first_code.data(), sizeof(uint16_t));
+    made->first_code.assign(first_code.data(), first_code.data() + first_code.shape(0));
+    for (const uint16_t code : made->first_code)
+        if (code >= count) throw nb::value_error("a first code out of range");
+    Codes &codes = made->codes;
+    codes.thresholds = made->thresholds.data();
+    codes.first_code = made->first_code.data();
+    codes.bucket_bits = bucket_bits;
+    codes.smallest = smallest;
+    codes.lowest = lowest;
+    codes.darkest = darkest;
+    codes.highest = highest;
+    codes.has_matrix = matrix.has_value();
+    if (matrix) std::copy(matrix->begin(), matrix->end(), codes.matrix);
+    std::copy(luminance_weights.begin(), luminance_weights.end(), codes.weights);
+    return made;
+}
+
 using Numbers = nb::ndarray<uint32_t, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
 using Values = nb::ndarray<float, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
 
-template <class Array>
-auto *checked_values(const std::optional<Array> &array, int64_t height, int64_t width) {
-    using Value = std::remove_pointer_t<decltype(array->data())>;
-    if (!array) return static_cast<Value *>(nullptr);
-    if (int64_t(array->shape(0)) != height || int64_t(array->shape(1)) != width)
-        throw nb::value_error("provenance must be height x width");
-    check_aligned(array->data(), sizeof(Value));
-    return array->data();
-}
+// Planes of provenance, which are written to.
+struct ProvenancePlanes {
+    Numbers layer;
+    Values grey, margin;
+};
 
-void check_sums(const Sums &sums, std::initializer_list<int64_t> shape) {
-    size_t axis = 0;
-    bool fits = sums.ndim() == shape.size();
-    for (const int64_t size : shape) {
-        fits = fits && int64_t(sums.shape(axis)) == size;
-        ++axis;
-    }
-    if (!fits) throw nb::value_error("sums of another shape are needed");
-    check_aligned(sums.data(), sizeof(int64_t));
+template <class Array> auto *checked_plane(const Array &array, int64_t height, int64_t width) {
+    if (int64_t(array.shape(0)) != height || int64_t(array.shape(1)) != width)
+        throw nb::value_error("provenance must be height x width");
+    check_aligned(array.data(), sizeof(*array.data()));
+    return array.data();
 }
 
 // The sums that the measures of a strip are added to, see `measure.h`, and its planes of provenance.
@@ -206,36 +281,105 @@ struct StripMeasures {
     MeasureRules rules{};
     Measures found{};
     int64_t layers, width, height;
-    Sums results, hues, others;
-    std::optional<Numbers> layer;
-    std::optional<Values> grey, margin;
+    std::vector<ResultSums> results;
+    std::vector<ContributorSums> contributors;
+    std::vector<int64_t> hues;
+    std::vector<OtherPixels> others;
+    std::optional<ProvenancePlanes> provenance;
 };
 
-std::unique_ptr<StripMeasures> make_measures(std::array<float, 4> limits, bool depends_on_order,
-                                             int64_t layers, int64_t width, int64_t height, Sums results,
-                                             Sums hues, Sums others, std::optional<Numbers> layer,
-                                             std::optional<Values> grey, std::optional<Values> margin) {
+std::unique_ptr<StripMeasures> make_measures(int64_t layers, int64_t width, int64_t height, int64_t bins,
+                                             float half_step, float achromatic, float foreign_sine,
+                                             float foreign_cosine, bool depends_on_order,
+                                             const ProvenancePlanes *provenance) {
     if (layers < 1 || layers > (1 << 20)) throw nb::value_error("a stack needs layers");
     if (width < 1 || height < 1) throw nb::value_error("a strip needs pixels");
-    const int64_t bins = hues.ndim() == 3 ? int64_t(hues.shape(1)) : 0;
     if (bins < 1 || bins > (1 << 16)) throw nb::value_error("hues need bins");
-    check_sums(results, {kResults, kResultSums + kContributorSums * (layers + 1)});
-    check_sums(hues, {layers + kResults, bins, kHueColumns});
-    check_sums(others, {layers + kResults, kOthers});
-    const bool wanted = layer.has_value();
-    if (wanted != grey.has_value() || wanted != margin.has_value())
-        throw nb::value_error("provenance is three arrays or none");
     auto made = std::make_unique<StripMeasures>();
-    made->found.results = results.data();
-    made->found.hues = hues.data();
-    made->found.others = others.data();
-    made->found.provenance = {checked_values(layer, height, width), checked_values(grey, height, width),
-                              checked_values(margin, height, width)};
-    made->rules = {limits[0], limits[1], limits[2], limits[3], depends_on_order, int(bins)};
+    made->rules = {half_step, achromatic, foreign_sine, foreign_cosine, depends_on_order, int(bins)};
     made->layers = layers, made->width = width, made->height = height;
-    made->results = std::move(results), made->hues = std::move(hues), made->others = std::move(others);
-    made->layer = std::move(layer), made->grey = std::move(grey), made->margin = std::move(margin);
+    made->results.resize(kResults);
+    made->contributors.resize(size_t(kResults * (layers + 1)));
+    made->hues.resize(size_t((layers + kResults) * bins * kHueColumns));
+    made->others.resize(size_t(layers + kResults));
+    made->found.results = made->results.data();
+    made->found.contributors = made->contributors.data();
+    made->found.hues = made->hues.data();
+    made->found.others = made->others.data();
+    if (provenance) {
+        made->found.provenance = {checked_plane(provenance->layer, height, width),
+                                  checked_plane(provenance->grey, height, width),
+                                  checked_plane(provenance->margin, height, width)};
+        made->provenance = *provenance;
+    }
     return made;
+}
+
+// --- measures read out: those of pixels that are the same in both results are in each ------------
+
+using Column = nb::ndarray<nb::numpy, int64_t, nb::ndim<1>>;
+using Columns = nb::ndarray<nb::numpy, int64_t, nb::ndim<2>>;
+
+// A hue histogram: pixel counts and sums by bin, and the pixels without one.
+struct HueSums {
+    std::vector<int64_t> count, chroma, alpha, rgb;  // (bins), the last (bins, 3)
+    OtherPixels others{};
+
+    explicit HueSums(const StripMeasures &of) {
+        const size_t bins = size_t(of.rules.bins);
+        count.resize(bins), chroma.resize(bins), alpha.resize(bins), rgb.resize(3 * bins);
+    }
+
+    HueSums &add(const StripMeasures &of, int64_t histogram) {
+        const int64_t *row = of.hues.data() + histogram * of.rules.bins * kHueColumns;
+        for (size_t bin = 0; bin < count.size(); ++bin, row += kHueColumns) {
+            count[bin] += row[kCount], chroma[bin] += row[kChroma], alpha[bin] += row[kAlpha];
+            rgb[3 * bin] += row[kRed], rgb[3 * bin + 1] += row[kGreen], rgb[3 * bin + 2] += row[kBlue];
+        }
+        const OtherPixels &more = of.others[size_t(histogram)];
+        others.grey += more.grey, others.transparent += more.transparent;
+        others.nonfinite += more.nonfinite;
+        return *this;
+    }
+};
+
+HueSums hues_of_layer(const StripMeasures &of, int64_t number) {
+    if (number < 0 || number >= of.layers) throw nb::value_error("no layer has that number");
+    return HueSums(of).add(of, number);
+}
+
+template <Result kWhich> HueSums hues_of_result(const StripMeasures &of) {
+    return HueSums(of).add(of, of.layers + kWhich).add(of, of.layers + kBothResults);
+}
+
+// An array of the histogram's own memory, which it keeps alive.
+template <std::vector<int64_t> HueSums::*kColumn> Column column_of(HueSums &of) {
+    return Column((of.*kColumn).data(), {(of.*kColumn).size()});
+}
+
+Columns rgb_of(HueSums &of) { return Columns(of.rgb.data(), {of.count.size(), 3}); }
+
+// One result, its contributors being the layers, bottom first, and then the background.
+struct ResultFound {
+    ResultSums sums;
+    std::vector<ContributorSums> contributors;
+};
+
+template <Result kWhich> ResultFound found_of(const StripMeasures &of) {
+    ResultFound found{{}, std::vector<ContributorSums>(size_t(of.layers + 1))};
+    for (const int which : {int(kWhich), int(kBothResults)}) {
+        const ResultSums &more = of.results[size_t(which)];
+        found.sums.chromatic += more.chromatic, found.sums.chroma += more.chroma;
+        found.sums.foreign += more.foreign, found.sums.foreign_chroma += more.foreign_chroma;
+        for (int channel = 0; channel < 3; ++channel) found.sums.light[channel] += more.light[channel];
+        const ContributorSums *added = of.contributors.data() + which * (of.layers + 1);
+        for (ContributorSums &sums : found.contributors) {
+            sums.pixels += added->pixels, sums.survived += added->survived;
+            sums.chroma += added->chroma, sums.kept += added->kept;
+            ++added;
+        }
+    }
+    return found;
 }
 
 class Accumulator {
@@ -280,13 +424,11 @@ class Accumulator {
         return nonfinite;
     }
 
-    // Writes the strip to `out`, and measures it if all layers came at once; returns the counts of
-    // `Losses`, and of the layers as `add` does.
-    std::pair<std::vector<int64_t>, std::vector<int64_t>>
-    result(nb::ndarray<nb::device::cpu, nb::c_contig> out, std::optional<Table> thresholds,
-           std::optional<CodeTable> first_code, int bucket_bits, std::array<float, 4> limits,
-           std::optional<std::array<float, 9>> matrix, std::array<double, 3> weights,
-           StripMeasures *measures) {
+    // Writes the strip to `out`, and measures it if all layers came at once; returns what could not be
+    // written as it is, and of the layers as `add` does.
+    std::pair<Losses, std::vector<int64_t>> result(nb::ndarray<nb::device::cpu, nb::c_contig> out,
+                                                   std::shared_ptr<CodeTables> codes,
+                                                   StripMeasures *measures) {
         if (out.ndim() != 3 || int64_t(out.shape(0)) != height_ || int64_t(out.shape(1)) != width_ ||
             out.shape(2) != 4)
             throw nb::value_error("out must be height x width x 4");
@@ -295,11 +437,10 @@ class Accumulator {
         Output output{};
         output.samples = out.data();
         output.type = sample_of(out.dtype());
-        if (output.type == Sample::kU8 || output.type == Sample::kU16)
-            check_codes(output, thresholds, first_code, bucket_bits, limits);
-        output.has_matrix = matrix.has_value();
-        if (matrix) std::copy(matrix->begin(), matrix->end(), output.matrix);
-        std::copy(weights.begin(), weights.end(), output.weights);
+        const size_t needed = output.type == Sample::kU8 ? 256 : output.type == Sample::kU16 ? 65536 : 0;
+        if ((codes ? codes->thresholds.size() : 0) != needed)
+            throw nb::value_error("integer output needs the codes of its depth, floats none");
+        if (codes) static_cast<Codes &>(output) = codes->codes;
         finished_ = true;
         const std::vector<StripLayer> held = std::move(held_);
         std::vector<int64_t> nonfinite(held.size(), 0);
@@ -314,9 +455,7 @@ class Accumulator {
             else
                 engine_->finish(rules_->rules, int64_t(height_) * width_, state_, output, &losses);
         }
-        return {{losses.out_of_gamut, losses.light_without_alpha, losses.not_a_number,
-                 losses.beyond_half},
-                nonfinite};
+        return {losses, nonfinite};
     }
 
     // Measures the strip alone.
@@ -402,40 +541,6 @@ class Accumulator {
         }
     }
 
-    static void check_codes(Output &output, const std::optional<Table> &thresholds,
-                            const std::optional<CodeTable> &first_code, int bucket_bits,
-                            const std::array<float, 4> &limits) {
-        const size_t codes = output.type == Sample::kU8 ? 256 : 65536;
-        if (!thresholds || thresholds->shape(0) != codes)
-            throw nb::value_error("integer output needs a threshold for each code");
-        check_aligned(thresholds->data(), sizeof(float));
-        // The last one is infinite: no value passes it, and no code beyond it exists.
-        for (size_t i = 0; i < codes; ++i)
-            if (!(thresholds->data()[i] > (i ? thresholds->data()[i - 1] : 0.0f)))
-                throw nb::value_error("thresholds must increase");
-        if (thresholds->data()[codes - 1] != std::numeric_limits<float>::infinity())
-            throw nb::value_error("the last threshold must be infinite");
-        if (bucket_bits < 1 || bucket_bits > 16) throw nb::value_error("bucket_bits out of range");
-        const float smallest = limits[3];
-        int octaves = 0;
-        for (float edge = smallest; edge > 0 && edge < 1 && octaves < 64; edge *= 2) ++octaves;
-        if (!(smallest > 0) || octaves < 1 || octaves >= 64 ||
-            std::ldexp(1.0f, -octaves) != smallest)
-            throw nb::value_error("buckets must begin at a power of two below 1");
-        if (!first_code || first_code->shape(0) != (size_t(octaves) << bucket_bits) + 1)
-            throw nb::value_error("a first code for each bucket is needed");
-        check_aligned(first_code->data(), sizeof(uint16_t));
-        for (size_t i = 0; i < first_code->shape(0); ++i)
-            if (first_code->data()[i] >= codes) throw nb::value_error("a first code out of range");
-        output.thresholds = thresholds->data();
-        output.first_code = first_code->data();
-        output.bucket_bits = bucket_bits;
-        output.lowest = limits[0];
-        output.darkest = limits[1];
-        output.highest = limits[2];
-        output.smallest = smallest;
-    }
-
     std::shared_ptr<StackRules> rules_;
     const Level &level_;
     const Engine *engine_;
@@ -465,40 +570,111 @@ void measure(std::shared_ptr<StackRules> rules, const std::vector<StripLayer *> 
 }  // namespace
 
 NB_MODULE(_kernel, module) {
-    module.doc() = "The fused engine's loops; hpcomp.kernel is its face.";
-    nb::class_<StripLayer>(module, "Layer");
-    nb::class_<StackRules>(module, "Rules");
+    module.doc() = "The loops of the fused engine, whose face is hpcomp.kernel.fused, and of packing.";
+    nb::enum_<Blending>(module, "Blending")
+        .value("HUE_PRESERVING", Blending::kHuePreserving)
+        .value("TRADITIONAL", Blending::kTraditional)
+        .value("FOREMOST", Blending::kForemost);
+    nb::enum_<Order>(module, "Order")
+        .value("BOTTOM_UP", Order::kBottomUp)
+        .value("FRONT_TO_BACK", Order::kFrontToBack)
+        .value("PERMUTATION", Order::kPermutation)
+        .value("BALANCED", Order::kBalanced)
+        .value("SIMULTANEOUS", Order::kSimultaneous);
+    nb::enum_<Factor>(module, "Factor")
+        .value("ZERO", Factor::kZero)
+        .value("ONE", Factor::kOne)
+        .value("ALPHA", Factor::kAlpha)
+        .value("REST", Factor::kRest);
     module.def("levels", [] {
         std::vector<std::string> names;
         for (const Level &level : levels()) names.push_back(level.name);
         return names;
     });
-    // Arrays are taken as they are or refused: a converted copy would be slow, or lose a result.
-    module.def("scratch_bytes", [](int order, int layers) {
-        return int64_t(sizeof(float)) * scratch_floats(Order(order), layers);
-    }, "order"_a, "layers"_a);
-    module.def("layer", &make_layer, "samples"_a.noconvert(), "decode"_a.none().noconvert(), "alpha_straight"_a,
-               "matrix"_a.none(), "left"_a, "top"_a, "opacity"_a, "factor_a"_a, "factor_b"_a,
-               "behind"_a, "zero_nonfinite"_a);
-    module.def("rules", &make_rules, "blending"_a, "tolerance"_a, "rounding_angle"_a, "gray_bias"_a,
-               "order"_a, "permutation"_a, "layers"_a, "background"_a.none(), "gain"_a, "weights"_a, "to_p"_a, "from_p"_a,
-               "maps"_a = 0, "numbers"_a = std::vector<float>{},
-               "background_bounds"_a = std::array<float, 2>{});
+    // Arrays and enums are taken as they are or refused: a converted copy of an array would be slow, or
+    // lose a result, and a number is no choice.
+    module.def("scratch_bytes", [](Order order, int layers) {
+        return int64_t(sizeof(float)) * scratch_floats(order, layers);
+    }, nb::kw_only(), "order"_a.noconvert(), "layers"_a);
+
+    nb::class_<StripLayer>(module, "Layer");
+    module.def("layer", &make_layer, nb::kw_only(), "samples"_a.noconvert(), "decode"_a.none().noconvert(),
+               "alpha_straight"_a, "matrix"_a.none(), "left"_a, "top"_a, "opacity"_a,
+               "factor_a"_a.noconvert(), "factor_b"_a.noconvert(), "behind"_a, "zero_nonfinite"_a);
+
+    nb::class_<SpaceMaps>(module, "SpaceMaps");
+    module.def("linear_maps", &make_linear, nb::kw_only(), "weight_red"_a, "weight_blue"_a, "to_p"_a,
+               "from_p"_a);
+    module.def("hsl_maps", &make_hsl, nb::kw_only(), "weight_red"_a, "weight_blue"_a, "to_p"_a,
+               "from_p"_a);
+    module.def("oklab_maps", &make_oklab, nb::kw_only(), "weight_red"_a, "weight_blue"_a, "to_lms"_a,
+               "to_lab"_a, "to_roots"_a, "from_lms"_a, "inverse_largest"_a);
+    module.def("cielab_maps", &make_cielab, nb::kw_only(), "weight_red"_a, "weight_blue"_a, "to_xz"_a,
+               "from_xz"_a, "inverse_largest"_a);
+    nb::class_<Background>(module, "Background");
+    module.def("background", &make_background, nb::kw_only(), "luminance"_a, "p"_a, "lo"_a, "hi"_a);
+    nb::class_<StackRules>(module, "Rules");
+    module.def("rules", &make_rules, nb::kw_only(), "blending"_a.noconvert(), "hue_tolerance"_a,
+               "rounding_angle"_a, "gray_bias"_a, "order"_a.noconvert(), "permutation"_a, "layers"_a,
+               "background"_a.none(), "gain"_a, "space"_a);
+
+    nb::class_<CodeTables>(module, "Codes");
+    module.def("codes", &make_codes, nb::kw_only(), "thresholds"_a.noconvert(), "first_code"_a.noconvert(),
+               "bucket_bits"_a, "smallest"_a, "lowest"_a, "darkest"_a, "highest"_a, "matrix"_a.none(),
+               "luminance_weights"_a);
+    nb::class_<Losses>(module, "Losses")
+        .def_ro("out_of_gamut", &Losses::out_of_gamut)
+        .def_ro("light_without_alpha", &Losses::light_without_alpha)
+        .def_ro("not_a_number", &Losses::not_a_number)
+        .def_ro("beyond_half", &Losses::beyond_half);
     nb::class_<Accumulator>(module, "Accumulator")
-        .def(nb::init<std::shared_ptr<StackRules>, int64_t, int64_t, const std::string &>(), "rules"_a,
-             "width"_a, "height"_a, "level"_a = "")
-        .def("add", &Accumulator::add, "numbers"_a, "layers"_a)
-        .def("result", &Accumulator::result, "out"_a.noconvert(), "thresholds"_a.none().noconvert(),
-             "first_code"_a.none().noconvert(),
-             "bucket_bits"_a, "limits"_a, "matrix"_a.none(), "weights"_a, "measures"_a.none() = nb::none());
+        .def(nb::init<std::shared_ptr<StackRules>, int64_t, int64_t, const std::string &>(), nb::kw_only(),
+             "rules"_a, "width"_a, "height"_a, "level"_a = "")
+        .def("add", &Accumulator::add, nb::kw_only(), "numbers"_a, "layers"_a)
+        .def("result", &Accumulator::result, nb::kw_only(), "out"_a.noconvert(), "codes"_a.none(),
+             "measures"_a.none() = nb::none());
+
+    nb::class_<ProvenancePlanes>(module, "Provenance");
+    module.def("provenance", [](Numbers layer, Values grey, Values margin) {
+        return ProvenancePlanes{std::move(layer), std::move(grey), std::move(margin)};
+    }, nb::kw_only(), "layer"_a.noconvert(), "grey"_a.noconvert(), "margin"_a.noconvert());
+    nb::class_<HueSums>(module, "HueSums")
+        .def_prop_ro("count", &column_of<&HueSums::count>)
+        .def_prop_ro("chroma", &column_of<&HueSums::chroma>)
+        .def_prop_ro("alpha", &column_of<&HueSums::alpha>)
+        .def_prop_ro("rgb", &rgb_of)
+        .def_prop_ro("grey", [](const HueSums &of) { return of.others.grey; })
+        .def_prop_ro("transparent", [](const HueSums &of) { return of.others.transparent; })
+        .def_prop_ro("nonfinite", [](const HueSums &of) { return of.others.nonfinite; });
+    nb::class_<ContributorSums>(module, "ContributorSums")
+        .def_ro("pixels", &ContributorSums::pixels)
+        .def_ro("survived", &ContributorSums::survived)
+        .def_ro("chroma", &ContributorSums::chroma)
+        .def_ro("kept", &ContributorSums::kept);
+    nb::class_<ResultFound>(module, "ResultSums")
+        .def_prop_ro("chromatic", [](const ResultFound &of) { return of.sums.chromatic; })
+        .def_prop_ro("chroma", [](const ResultFound &of) { return of.sums.chroma; })
+        .def_prop_ro("foreign", [](const ResultFound &of) { return of.sums.foreign; })
+        .def_prop_ro("foreign_chroma", [](const ResultFound &of) { return of.sums.foreign_chroma; })
+        .def_prop_ro("light", [](const ResultFound &of) {
+            return std::make_tuple(of.sums.light[0], of.sums.light[1], of.sums.light[2]);
+        })
+        .def_prop_ro("layers", [](const ResultFound &of) {
+            return std::vector<ContributorSums>(of.contributors.begin(), of.contributors.end() - 1);
+        })
+        .def_prop_ro("background", [](const ResultFound &of) { return of.contributors.back(); });
     nb::class_<StripMeasures>(module, "Measures")
         .def_prop_ro("unmeasured", [](const StripMeasures &of) { return of.found.unmeasured; })
-        .def_prop_ro("order_sensitive", [](const StripMeasures &of) { return of.found.order_sensitive; });
-    module.def("measures", &make_measures, "limits"_a, "depends_on_order"_a, "layers"_a, "width"_a,
-               "height"_a, "results"_a.noconvert(), "hues"_a.noconvert(), "others"_a.noconvert(),
-               "layer"_a.none().noconvert(), "grey"_a.none().noconvert(),
-               "margin"_a.none().noconvert());
-    module.def("measure", &measure, "rules"_a, "layers"_a, "measures"_a, "level"_a = "");
+        .def_prop_ro("order_sensitive", [](const StripMeasures &of) { return of.found.order_sensitive; })
+        .def_prop_ro("result", &found_of<kAsBlended>)
+        .def_prop_ro("traditional", &found_of<kTraditional>)
+        .def("layer_hues", &hues_of_layer, nb::kw_only(), "number"_a)
+        .def_prop_ro("result_hues", &hues_of_result<kAsBlended>)
+        .def_prop_ro("traditional_hues", &hues_of_result<kTraditional>);
+    module.def("measures", &make_measures, nb::kw_only(), "layers"_a, "width"_a, "height"_a, "bins"_a,
+               "half_step"_a, "achromatic"_a, "foreign_sine"_a, "foreign_cosine"_a, "depends_on_order"_a,
+               "provenance"_a.none());
+    module.def("measure", &measure, nb::kw_only(), "rules"_a, "layers"_a, "measures"_a, "level"_a = "");
     bind_packing(module);
 }
 

@@ -115,6 +115,14 @@ HPCOMP_INLINE void to_p(const Rules &rules, int n, const float *red, const float
 
 // --- p to colours --------------------------------------------------------------------------------
 
+// The colour of a luminance and p, in a space whose maps are linear.
+HPCOMP_INLINE void linear_from_p(const Rules &rules, float luminance, float p0, float p1, float *red,
+                                 float *green, float *blue) {
+    *red = p0 * rules.from_p[0][0] + p1 * rules.from_p[0][1] + luminance;
+    *green = p0 * rules.from_p[1][0] + p1 * rules.from_p[1][1] + luminance;
+    *blue = p0 * rules.from_p[2][0] + p1 * rules.from_p[2][1] + luminance;
+}
+
 HPCOMP_INLINE void from_hsl(const Rules &rules, int n, const float *luminance, const float *p0,
                             const float *p1, float *red, float *green, float *blue) {
     for (int i = 0; i < n; ++i) {

@@ -1,6 +1,7 @@
 """What a report of a stack is made from: its measures, and the hue histograms beside them.
 
-The reference, in numpy; the kernel finds the same. Parts of a picture add up to the whole.
+Found in numpy here, of pixels that are decoded and placed; which engine finds them of strips is
+`engine`'s matter. Parts of a picture add up to the whole.
 """
 
 from __future__ import annotations
@@ -13,9 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..blending.rules import StackRules
-from ..color.primaries import Primaries
-from ..color.quantization import Losses
-from ..color.samples import Samples, Strip, cropped, linear_rgba, spread
+from ..color.samples import Strip
 from .histogram import DEFAULT_BINS, HueHistogram, hue_histogram
 from .labels import (
     BLOCK_PIXELS,
@@ -87,28 +86,6 @@ class MeasuredStrip:
     width: int
     height: int
     with_provenance: bool = False
-
-
-def findings(strip: MeasuredStrip) -> tuple[StackFindings, Provenance | None]:
-    """The findings of a strip, and its provenance planes (height, width) where they are wanted."""
-    layers = []
-    for layer in strip.strips:
-        inside = cropped(layer, strip.width, strip.height)
-        rgba, _ = linear_rgba(inside)
-        layers.append(spread(rgba, inside.left, inside.top, strip.width, strip.height))
-    found, provenance = findings_of(strip.rules, strip.settings, layers, strip.bins)
-    if not strip.with_provenance:
-        return found, None
-    planes = (plane.reshape(strip.height, strip.width) for plane in vars(provenance).values())
-    return found, Provenance(*planes)
-
-
-def result_and_findings(
-    accumulator: Any, kind: str, losses: Losses, gamut: Primaries, strip: MeasuredStrip
-) -> tuple[Samples, StackFindings, Provenance | None]:
-    """The samples of the accumulated strip, and its findings."""
-    samples: Samples = accumulator.result(kind, losses, gamut)
-    return samples, *findings(strip)
 
 
 def _histograms(

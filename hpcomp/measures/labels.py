@@ -250,6 +250,14 @@ class Provenance:
             np.zeros(shape, np.uint32), np.zeros(shape, np.float32), np.zeros(shape, np.float32)
         )
 
+    def reshaped(self, shape: tuple[int, ...]) -> Provenance:
+        """The same pixels in another shape."""
+        return Provenance(
+            layer=self.layer.reshape(shape),
+            grey=self.grey.reshape(shape),
+            margin=self.margin.reshape(shape),
+        )
+
 
 # --- pixels ---------------------------------------------------------------------------------------
 

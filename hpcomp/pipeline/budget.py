@@ -57,9 +57,9 @@ class Budget:
             widest = sorted((reader.bytes_per_row for reader in readers), reverse=True)
             held = sum(widest[:LAYERS_AT_ONCE])
         decoded = 0
-        in_numpy = engine.active().DECODES_IN_NUMPY
+        in_numpy = engine.active().decodes_in_numpy
         if any(extra):
-            in_numpy = in_numpy or engine.measuring(rules).DECODES_IN_NUMPY
+            in_numpy = in_numpy or engine.measuring(rules).decodes_in_numpy
         if in_numpy or not all(reader.is_plain for reader in readers):
             at_once = len(readers) if all_at_once else LAYERS_AT_ONCE
             decoded = min(at_once, len(readers)) * RGBA_BYTES + DECODING_BYTES

@@ -89,7 +89,7 @@ class Need:
         of_strip = rows * self.per_row + samples * self.per_sample + PIECES_BYTES
         of_strip += self.counts + 5 * self.chunk + self.reducing
         waiting = (reads_ahead(threads) + writes_behind(threads)) * rows * self.held
-        numpy = NUMPY_BYTES if engine.active().DECODES_IN_NUMPY else 0
+        numpy = NUMPY_BYTES if engine.active().decodes_in_numpy else 0
         whole = self.fixed + waiting + threads * (THREAD_BYTES + numpy + of_strip)
         return int(whole / USED_SHARE) + 1
 

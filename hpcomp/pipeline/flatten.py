@@ -207,7 +207,7 @@ def _made(plan: FlatteningPlan) -> StackResult:
         window,
         len(plan.strips),
         plan.threads,
-        engine.active().NAME,
+        engine.active().name,
     )
     work = _Work(plan.images, rules, request.form)
     with plan.writer() as writer, ThreadPipeline[Samples](plan.threads) as pipeline:

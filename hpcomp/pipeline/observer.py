@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 from ..blending.rules import StackRules
 from ..color.quantization import Losses
 from ..color.samples import Samples, Strip
-from ..engine.choice import Accumulator
+from ..engine.contract import Accumulator
 from ..geometry import Window
 from ..imagefile.writing import OutputForm
 

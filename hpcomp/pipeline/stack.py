@@ -141,7 +141,7 @@ def _made(plan: StackPlan, observer: Observer) -> StackResult:
         plan.window,
         plan.strip_rows,
         plan.threads,
-        engine.active().NAME,
+        engine.active().name,
     )
     with observer.watch(rules, plan.window, plan.canvas, plan.bottom.pixel_aspect):
         with plan.writer() as writer:

@@ -13,6 +13,7 @@ from ..blending.rules import Reduction
 from ..color.quantization import Losses
 from ..color.samples import Strip
 from ..engine import choice as engine
+from ..engine.contract import Accumulator
 from ..geometry import Window
 from ..imagefile.writing import ImageWriter
 from ..layers.placing import PlacedLayer
@@ -89,7 +90,7 @@ class _Finishing:
         self.losses = Losses()
 
     def prepare(
-        self, accumulator: engine.Accumulator, strips: Sequence[Strip], rows: Window
+        self, accumulator: Accumulator, strips: Sequence[Strip], rows: Window
     ) -> tuple[Any, Any]:
         """What is to be written of the strip `rows`, in any thread; pixels may be refused."""
         lost = Losses()

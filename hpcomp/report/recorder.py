@@ -20,6 +20,7 @@ from ..color.primaries import REC709, Primaries
 from ..color.quantization import Losses
 from ..color.samples import Rgba, Samples, Strip, encode
 from ..engine import choice as engine
+from ..engine.contract import Accumulator
 from ..errors import SettingError
 from ..geometry import Window
 from ..imagefile.exrscanlines import ExrForm, ExrScanlineWriter
@@ -152,7 +153,7 @@ class Recorder:
 
     def composite(
         self,
-        accumulator: engine.Accumulator,
+        accumulator: Accumulator,
         strips: Sequence[Strip],
         rows: Window,
         form: OutputForm,
@@ -207,7 +208,7 @@ class Recorder:
             self._output,
             self._command,
             __version__,
-            engine.active().NAME,
+            engine.active().name,
             self._settings_in_words(),
             self._labels,
             self.findings,

@@ -59,7 +59,7 @@ def cases(threads: int) -> list[Case]:
 
 def composite_strip(rules: StackRules, layers: list[Any], begin: int) -> None:
     strips = [Strip(pixels[begin : begin + STRIP_ROWS]) for pixels in layers]
-    accumulator = kernel.start(rules, WIDTH, len(strips[0].samples))
+    accumulator = kernel.ENGINE.start(rules, WIDTH, len(strips[0].samples))
     accumulator.add(rules.arrival, [strips[number] for number in rules.arrival])
     accumulator.result("float", Losses())
 

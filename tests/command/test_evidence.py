@@ -629,7 +629,7 @@ def test_report_says_the_command_and_what_was_chosen(desk):
     assert document["settings"]["order"] == "top-down"
     assert document["settings"]["blending"] == "hue-preserving"
     assert document["settings"]["output"] == "PNG, 8, fast"
-    assert (document["hpcomp"], document["engine"]) == (hpcomp.__version__, engine.active().NAME)
+    assert (document["hpcomp"], document["engine"]) == (hpcomp.__version__, engine.active().name)
     assert str(desk.folder) not in (desk / "out.json").read_text()
 
 

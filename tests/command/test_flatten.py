@@ -502,7 +502,7 @@ def test_verbose_says_what_is_done_and_help_what_can_be(desk):
     run = desk.run("flatten", "tidy.exr", "-o", "out.exr", "-v")
     assert run.code == 0
     assert f"{noise(31, 23, 6).counts.sum()} samples, up to 6 in a pixel" in run.stderr
-    assert f"engine {engine.active().NAME}" in run.stderr
+    assert f"engine {engine.active().name}" in run.stderr
     run = desk.run("flatten", "--help")
     assert run.code == 0
     assert "hpcomp flatten smoke.exr -o smoke.png" in run.stdout.decode()
@@ -531,21 +531,21 @@ def test_python_takes_one_file_or_several_and_says_what_it_wrote(desk):
 
 
 @pytest.mark.parametrize("volume", [False, True])
-def test_a_crowd_in_one_place_keeps_a_hue_of_its_own_in_whatever_order(tmp_path, volume):
+def test_many_samples_in_one_place_keep_a_hue_of_its_own_in_whatever_order(tmp_path, volume):
     """More samples than are added at once: two shades of red, and as many of a weaker blue."""
     rng = np.random.default_rng(0)
-    crowd = []
+    samples = []
     for number in range(200):
         share = rng.uniform(0.5, 1)
         red, blue = (0.02 * share, 0.001 * share, 0, 0.03), (0, 0, 0.008 * share, 0.03)
         depth = (1, 2 + number % 7) if volume else (1, 1)
-        crowd += [(*red, *depth), (*blue, *depth)]
+        samples += [(*red, *depth), (*blue, *depth)]
     made = {}
-    for name, order in (("one", crowd), ("other", [crowd[i] for i in rng.permutation(len(crowd))])):
-        deepfile.write(tmp_path / "crowd.exr", of_pixels([[order, crowd[:3]]]))
+    for name, order in (("one", samples), ("other", [samples[i] for i in rng.permutation(len(samples))])):
+        deepfile.write(tmp_path / "many.exr", of_pixels([[order, samples[:3]]]))
         for blending in ("hue-preserving", "traditional"):
             path = tmp_path / f"{name}-{blending}.exr"
-            hpcomp.flatten(tmp_path / "crowd.exr", path, depth="float", blending=blending)
+            hpcomp.flatten(tmp_path / "many.exr", path, depth="float", blending=blending)
             made[name, blending] = path.read_bytes()
     assert made["one", "hue-preserving"] == made["other", "hue-preserving"]
     kept = pixels_of(tmp_path / "one-hue-preserving.exr")[0, 0]

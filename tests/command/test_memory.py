@@ -123,7 +123,7 @@ def test_small_budget(peak, name, threads):
     assert peak([name] * 4, "exr", 20, threads) <= 20
 
 
-@pytest.mark.parametrize("engine_name", list(dict.fromkeys([engine.active().NAME, "reference"])))
+@pytest.mark.parametrize("engine_name", list(dict.fromkeys([engine.active().name, "reference"])))
 @pytest.mark.parametrize("threads", [1, 2])
 def test_budget_of_every_engine(peak, engine_name, threads):
     env = {"HPCOMP_ENGINE": engine_name}
@@ -134,7 +134,7 @@ def test_budget_of_every_engine(peak, engine_name, threads):
         assert used <= 40
 
 
-@pytest.mark.parametrize("engine_name", list(dict.fromkeys([engine.active().NAME, "reference"])))
+@pytest.mark.parametrize("engine_name", list(dict.fromkeys([engine.active().name, "reference"])))
 @pytest.mark.parametrize("threads", [1, 2])
 def test_a_report_in_a_space_that_numpy_measures(peak, engine_name, threads, tmp_path):
     env = {"HPCOMP_ENGINE": engine_name}
@@ -265,7 +265,7 @@ def test_height_does_not_matter_to_a_report(peak, told, threads):
     assert high - low <= 12
 
 
-@pytest.mark.parametrize("engine_name", list(dict.fromkeys([engine.active().NAME, "reference"])))
+@pytest.mark.parametrize("engine_name", list(dict.fromkeys([engine.active().name, "reference"])))
 def test_minimum_of_a_report(peak, files, tmp_path, told, engine_name):
     env = {"HPCOMP_ENGINE": engine_name}
     layers, options = [files("wide.exr")] * 3, ("--threads", 2, *told)

@@ -1087,7 +1087,7 @@ class TestLibraries:
             if not unpacks:
                 for module in (packing, exrscanlines, pngscanlines):
                     monkeypatch.setattr(module, "UNPACKS", False)
-                monkeypatch.setattr(packing, "_kernel", None)
+                monkeypatch.setattr(packing, "_loops", None)
             plain.append({Layer(desk / name).plain for name in (*self.PNGS, "a.exr")})
             hpcomp.stack(layers, out)
             made.append(out.read_bytes())

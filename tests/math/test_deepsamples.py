@@ -58,7 +58,7 @@ def flattened(*pixels, blending="hue-preserving", order="bottom-up"):
 
 def test_work_can_be_given_up_in_the_middle(monkeypatch):
     """Of one pixel of many volumes that overlap, and of many deep ones in one stack."""
-    monkeypatch.setattr(engine.active(), "PAIRS_AT_ONCE", 4 * 100**2)
+    monkeypatch.setattr(engine.active(), "pairs_at_once", 4 * 100**2)
     volumes = [(0.01, 0.0, 0.01 * (n % 2), 0.02, n, 1000.0 - n) for n in range(300)]
     points = [[(0.01, 0.0, 0.01 * (n % 2), 0.02, n, n) for n in range(96)]] * 40
     for pixels in ([volumes], points):
@@ -78,7 +78,7 @@ def test_work_can_be_given_up_in_the_middle(monkeypatch):
 @pytest.mark.parametrize(("order", "calls"), [("bottom-up", 1), ("balanced", 1), ("simultaneous", 10)])
 def test_deep_pixels_share_a_stack_as_far_as_signals_allow(monkeypatch, order, calls):
     """Each call of the engine costs something for each layer, whatever the number of pixels."""
-    monkeypatch.setattr(engine.active(), "PAIRS_AT_ONCE", 4 * 400**2)
+    monkeypatch.setattr(engine.active(), "pairs_at_once", 4 * 400**2)
     begun, start = [], engine.start
     monkeypatch.setattr(engine, "start", lambda *given: begun.append(given) or start(*given))
     points = [[(0.01, 0.0, 0.01 * (n % 2), 0.02, n, n) for n in range(384)]] * 40
@@ -244,7 +244,7 @@ def test_foremost_adds_in_one_place_as_hue_preserving_does():
 # ---- many pixels ----------------------------------------------------------------------------
 
 
-def crowd(rng, pixels, most):
+def many_samples(rng, pixels, most):
     """Pixels of few depths and up to so many samples."""
     return [
         [
@@ -259,7 +259,7 @@ def crowd(rng, pixels, most):
 
 
 def test_how_many_pieces_are_in_memory_changes_no_bit(monkeypatch):
-    pixels = crowd(np.random.default_rng(3), 40, 30)
+    pixels = many_samples(np.random.default_rng(3), 40, 30)
     whole = flattened(*pixels)
     for at_once in (1, 7, 100):
         monkeypatch.setattr(deepsamples, "PIECES_AT_ONCE", at_once)
@@ -268,7 +268,7 @@ def test_how_many_pieces_are_in_memory_changes_no_bit(monkeypatch):
 
 @pytest.mark.parametrize("order", ORDER_NAMES)
 def test_what_else_is_in_the_strip_changes_no_bit(order):
-    pixels = crowd(np.random.default_rng(4), 60, 20)
+    pixels = many_samples(np.random.default_rng(4), 60, 20)
     whole = flattened(*pixels, order=order)
     for number in range(0, 60, 7):
         assert flattened(pixels[number], order=order).tobytes() == whole[number].tobytes()

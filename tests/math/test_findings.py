@@ -20,7 +20,9 @@ from test_kernel import (
     WRONG_TYPES,
     broken,
     layers_of_labels,
+    make_background,
     make_layer,
+    make_maps,
     make_rules,
     refused,
     unaligned,
@@ -31,8 +33,9 @@ from hpcomp.color.primaries import REC709
 from hpcomp.color.quantization import Losses
 from hpcomp.color.samples import Decoding, Strip
 from hpcomp.engine import choice as engine
+from hpcomp.engine import reference
 from hpcomp.errors import SettingError
-from hpcomp.kernel import _kernel, measuring
+from hpcomp.kernel import _kernel
 from hpcomp.kernel import fused as kernel
 from hpcomp.measures import findings
 from hpcomp.measures import labels as measures
@@ -40,7 +43,7 @@ from hpcomp.measures.findings import MeasuredStrip
 from hpcomp.measures.histogram import HueHistogram, hue_histogram
 from hpcomp.options import stack_rules
 
-ENGINES = {"kernel": measuring, "reference": findings}
+ENGINES = {"kernel": kernel.ENGINE, "reference": reference.ENGINE}
 
 # Rounding decides which side of a bin's edge or of a threshold a pixel is on: so many may differ.
 TIES = 2
@@ -55,8 +58,8 @@ def both(rules, strips, width, height, *, bins=360, **settings):
     chosen = measures.measure_settings(rules, **settings)
     with np.errstate(all="ignore"):
         return tuple(
-            module.findings(MeasuredStrip(rules, chosen, bins, strips, width, height, True))
-            for module in ENGINES.values()
+            by.findings(MeasuredStrip(rules, chosen, bins, strips, width, height, True))
+            for by in ENGINES.values()
         )
 
 
@@ -290,7 +293,7 @@ def test_every_instruction_set_finds_the_same_bits(monkeypatch, order):
         found.append(
             [
                 everything(
-                    measuring.findings(MeasuredStrip(rules, settings, 360, strips_of(layers), 700, 3, True))
+                    kernel.ENGINE.findings(MeasuredStrip(rules, settings, 360, strips_of(layers), 700, 3, True))
                 )
                 for layers in (LAYERS, broken(LAYERS))
             ]
@@ -299,13 +302,13 @@ def test_every_instruction_set_finds_the_same_bits(monkeypatch, order):
     assert all(other == found[0] for other in found)
     monkeypatch.setenv(kernel.LEVEL_VARIABLE, "v9")
     with pytest.raises(SettingError, match="unknown instruction set"):
-        measuring.findings(MeasuredStrip(rules, settings, 360, strips_of(LAYERS), 700, 3))
+        kernel.ENGINE.findings(MeasuredStrip(rules, settings, 360, strips_of(LAYERS), 700, 3))
 
 
 @pytest.mark.parametrize("name", ENGINES)
 @pytest.mark.parametrize("order", ORDERS)
 def test_parts_add_up_to_the_whole_exactly(name, order):
-    module = ENGINES[name]
+    by = ENGINES[name]
     rules = stack_rules(4, order=order, op="xor", background=(0.2, 0.3, 0.1))
     settings = measures.measure_settings(rules)
     layers = layers_of_labels(4, 7, 530)
@@ -321,7 +324,7 @@ def test_parts_add_up_to_the_whole_exactly(name, order):
             rows.stop - rows.start,
             True,
         )
-        return module.findings(strip)
+        return by.findings(strip)
 
     whole, planes = found(slice(0, 7), slice(0, 530))
     for height, width in ((1, 530), (2, 530), (3, 530), (5, 100), (7, 1000)):
@@ -356,7 +359,7 @@ def test_findings_beside_a_result_change_neither(name, order, monkeypatch):
     with np.errstate(all="ignore"):
         samples = accumulated().result("uint8", alone)
         beside, *found = engine.result_and_findings(accumulated(), "uint8", lost, REC709, strip)
-        expected, planes = engine.findings(strip)
+        expected, planes = engine.measuring(rules).findings(strip)
     assert beside.tobytes() == samples.tobytes()
     assert (lost, found[0]) == (alone, expected)
     for plane, other in zip(vars(found[1]).values(), vars(planes).values(), strict=True):
@@ -393,9 +396,10 @@ def test_the_engine_that_is_chosen_finds(monkeypatch):
     strip = MeasuredStrip(
         rules, measures.measure_settings(rules), 360, strips_of(LAYERS), 700, 3, True
     )
-    for name, module in ENGINES.items():
+    for name, by in ENGINES.items():
         monkeypatch.setenv(engine.VARIABLE, name)
-        assert everything(engine.findings(strip)) == everything(module.findings(strip))
+        assert engine.measuring(rules) is by
+        assert everything(engine.measuring(rules).findings(strip)) == everything(by.findings(strip))
 
 
 @pytest.mark.parametrize("name", ENGINES)
@@ -406,7 +410,8 @@ def test_every_blending_is_measured(monkeypatch, name, blending):
         rules, measures.measure_settings(rules), 360, strips_of(LAYERS), 700, 3, True
     )
     monkeypatch.setenv(engine.VARIABLE, name)
-    (ours, planes), (theirs, their_planes) = engine.findings(strip), findings.findings(strip)
+    ours, planes = engine.measuring(rules).findings(strip)
+    theirs, their_planes = reference.ENGINE.findings(strip)
     for found, expected in zip(ours.measures.result.layers, theirs.measures.result.layers, strict=True):
         assert abs(found.survived - expected.survived) <= TIES
         assert found.kept == pytest.approx(expected.kept, rel=SUMS)
@@ -482,92 +487,103 @@ def test_provenance_of_two_labels_that_meet(name):
     assert np.allclose(planes.margin, 1 - small / big, atol=1e-5)
 
 
-# ---- the door ------------------------------------------------------------------------------------
+# ---- the binding ---------------------------------------------------------------------------------
 
 WIDTH, HEIGHT, BINS = 3, 2, 6
-#: What a result of floats has in place of codes.
-FLOATS = None, None, 1, [0.0] * 4, None, [0.0] * 3
-
-
-def sums(layers=2, bins=BINS):
-    """Zeros for `results`, `hues` and `others`."""
-    return (
-        np.zeros((3, 7 + 4 * (layers + 1)), np.int64),
-        np.zeros((layers + 3, bins, 8), np.int64),
-        np.zeros((layers + 3, 3), np.int64),
-    )
-
-
-def pixels_of(hues, others):
-    """How many pixels each histogram has: the layers', then those of both results."""
-    *layers, blended, traditional, both = (hues[:, :, 0].sum(axis=1) + others.sum(axis=1)).tolist()
-    return [*layers, blended + both, traditional + both]
 
 
 def planes_of(height=HEIGHT, width=WIDTH):
-    return (
-        np.zeros((height, width), np.uint32),
-        np.zeros((height, width), np.float32),
-        np.zeros((height, width), np.float32),
-    )
-
-
-NAMES = ("results", "hues", "others", "layer", "grey", "margin")
-GOOD = dict(zip(NAMES, (*sums(), *planes_of()), strict=True))
-
-
-def measure(**changed):
-    """`_kernel.measure` of two layers, but for what is changed: the pixels that it counts apart."""
-    arguments = {
-        "limits": [1e-5, 0.02, 0.07, 0.99],
-        "depends_on_order": True,
-        "width": WIDTH,
-        "height": HEIGHT,
-        **{name: array.copy() for name, array in GOOD.items()},
+    """What `_kernel.provenance` takes."""
+    return {
+        "layer": np.zeros((height, width), np.uint32),
+        "grey": np.zeros((height, width), np.float32),
+        "margin": np.zeros((height, width), np.float32),
     }
+
+
+PLANES_OF_PROVENANCE = tuple(planes_of())
+
+
+def make_provenance(**changed):
+    return _kernel.provenance(**{**planes_of(), **changed})
+
+
+def make_measures(**changed):
+    """`_kernel.measures` of two layers, but for what is changed."""
+    arguments = {
+        "layers": 2, "width": WIDTH, "height": HEIGHT, "bins": BINS, "half_step": 1e-5,
+        "achromatic": 0.02, "foreign_sine": 0.07, "foreign_cosine": 0.99, "depends_on_order": True,
+        "provenance": make_provenance(),
+    }  # fmt: skip
+    return _kernel.measures(**{**arguments, **changed})
+
+
+def measure(measures=None, **changed):
+    """`_kernel.measure` of two layers, but for what is changed: the measures that it adds to."""
+    measures = make_measures() if measures is None else measures
     stack = {"rules": make_rules(), "layers": [make_layer(), make_layer()], "level": ""}
-    for name, value in changed.items():
-        (stack if name in stack else arguments)[name] = value
-    measures = _kernel.measures(layers=changed.get("count", 2), **arguments)
-    _kernel.measure(measures=measures, **stack)
-    return measures.unmeasured, measures.order_sensitive
+    _kernel.measure(measures=measures, **{**stack, **changed})
+    return measures
 
 
-class TestDoor:
+def hues_of(measures, layers=2):
+    """Its histograms: the layers', then those of both results."""
+    found = [measures.layer_hues(number=number) for number in range(layers)]
+    return [*found, measures.result_hues, measures.traditional_hues]
+
+
+def pixels_of(measures):
+    """How many pixels each histogram has."""
+    return [
+        int(hues.count.sum()) + hues.grey + hues.transparent + hues.nonfinite
+        for hues in hues_of(measures)
+    ]
+
+
+def sums_of(found):
+    """(name, value) of each sum, as numbers and arrays, of what the binding gave."""
+    for name in dir(found):
+        if name.startswith("_") or name == "layer_hues":
+            continue
+        value = getattr(found, name)
+        if isinstance(value, list):
+            for index, item in enumerate(value):
+                yield from ((f"{name}[{index}].{inner}", number) for inner, number in sums_of(item))
+        elif type(value).__module__.endswith("_kernel"):
+            yield from ((f"{name}.{inner}", number) for inner, number in sums_of(value))
+        else:
+            yield name, value
+
+
+class TestBinding:
     """Nothing that Python can pass reads or writes out of bounds: it is refused."""
 
     def test_what_is_right_is_taken(self):
-        assert measure() == (0, 0)
-        assert measure(layer=None, grey=None, margin=None) == (0, 0)
+        for provenance in (make_provenance(), None):
+            measures = measure(make_measures(provenance=provenance))
+            assert (measures.unmeasured, measures.order_sensitive) == (0, 0)
+            assert pixels_of(measures) == [6] * 4
 
-    @pytest.mark.parametrize("name", NAMES)
+    @pytest.mark.parametrize("name", PLANES_OF_PROVENANCE)
     @pytest.mark.parametrize("dtype", [*WRONG_TYPES, "i8", "f4", "u4"])
-    def test_arrays_of_another_type(self, name, dtype):
-        if np.dtype(dtype) == GOOD[name].dtype:
+    def test_planes_of_another_type(self, name, dtype):
+        good = planes_of()[name]
+        if np.dtype(dtype) == good.dtype:
             return
         with refused():
-            measure(**{name: GOOD[name].astype(dtype)})
+            make_provenance(**{name: good.astype(dtype)})
 
-    @pytest.mark.parametrize("name", NAMES)
-    def test_arrays_of_another_shape(self, name):
-        shape = GOOD[name].shape
-        wrong = [(), (math.prod(shape),), (1, *shape), (*shape, 1), (0,) * len(shape)]
-        for axis, change in itertools.product(range(len(shape)), (-1, 1)):
-            if (name, axis) == ("hues", 1):
-                continue  # of the bins there may be any number
-            wrong.append(tuple(n + change * (k == axis) for k, n in enumerate(shape)))
-        for other in wrong:
+    @pytest.mark.parametrize("name", PLANES_OF_PROVENANCE)
+    def test_planes_of_another_shape(self, name):
+        good = planes_of()[name]
+        wrong = [(), (6,), (1, 2, 3), (2, 3, 1), (0, 0), (1, 3), (3, 3), (2, 2), (2, 4)]
+        for shape in wrong:
             with refused():
-                measure(**{name: np.zeros(other, GOOD[name].dtype)})
+                make_measures(provenance=make_provenance(**{name: np.zeros(shape, good.dtype)}))
 
-    @pytest.mark.parametrize("rows", [0, (1 << 16) + 1])
-    def test_number_of_bins(self, rows):
-        with refused():
-            measure(hues=np.zeros((5, rows, 8), np.int64))
-
-    @pytest.mark.parametrize("name", NAMES)
-    def test_arrays_that_are_not_one_run(self, name):
-        good = GOOD[name]
+    @pytest.mark.parametrize("name", PLANES_OF_PROVENANCE)
+    def test_planes_that_are_not_one_run(self, name):
+        good = planes_of()[name]
         for other in (
             good[::-1],
             np.repeat(good, 2, axis=0)[::2],
@@ -576,32 +592,59 @@ class TestDoor:
             np.broadcast_to(good[:1], good.shape),
         ):
             with refused():
-                measure(**{name: other})
+                make_provenance(**{name: other})
 
-    @pytest.mark.parametrize("name", NAMES)
-    def test_arrays_that_cannot_be_written_or_are_not_aligned(self, name):
-        good = GOOD[name]
+    @pytest.mark.parametrize("name", PLANES_OF_PROVENANCE)
+    def test_planes_that_cannot_be_written_or_are_not_aligned(self, name):
+        good = planes_of()[name]
         fixed = good.copy()
         fixed.flags.writeable = False
         for other in (fixed, unaligned(good.dtype, good.shape)):
             with refused():
-                measure(**{name: other})
+                make_measures(provenance=make_provenance(**{name: other}))
 
-    @pytest.mark.parametrize("name", NAMES)
-    @pytest.mark.parametrize("other", [[[0]], b"0123", 1.0, object()], ids=lambda other: type(other).__name__)
-    def test_arrays_that_are_none(self, name, other):
+    @pytest.mark.parametrize("name", PLANES_OF_PROVENANCE)
+    @pytest.mark.parametrize("other", [None, [[0]], b"0123", 1.0, object()], ids=lambda other: type(other).__name__)
+    def test_planes_that_are_none(self, name, other):
         with refused():
-            measure(**{name: other})
-        if name in NAMES[:3]:
-            with refused():
-                measure(**{name: None})
+            make_provenance(**{name: other})
 
-    def test_provenance_is_three_arrays_or_none(self):
-        for given in range(1, 7):
-            missing = {name: None for k, name in enumerate(NAMES[3:]) if not given >> k & 1}
-            if missing:
-                with refused():
-                    measure(**missing)
+    @pytest.mark.parametrize("provenance", [0, (), planes_of()], ids=type)
+    def test_what_is_no_provenance(self, provenance):
+        with refused():
+            make_measures(provenance=provenance)
+
+    @pytest.mark.parametrize("name", ["layers", "width", "height", "bins"])
+    @pytest.mark.parametrize("value", [0, -1, 2**31, 2**63, 1.5, None, "1", [1]], ids=str)
+    def test_sizes(self, name, value):
+        with refused():
+            measure(make_measures(provenance=None, **{name: value}))
+
+    def test_too_many_layers_or_bins(self):
+        for wrong in ({"layers": (1 << 20) + 1}, {"bins": (1 << 16) + 1}):
+            with refused():
+                make_measures(**wrong)
+
+    @pytest.mark.parametrize("limit", ["half_step", "achromatic", "foreign_sine", "foreign_cosine"])
+    def test_limits(self, limit):
+        for wrong in (None, "0.1", [0.1]):
+            with refused():
+                make_measures(**{limit: wrong})
+
+    def test_keywords_alone_are_taken(self):
+        with refused():
+            _kernel.provenance(*planes_of().values())
+        with refused():
+            _kernel.measure(make_rules(), [make_layer(), make_layer()], make_measures(), "")
+        with refused():
+            make_measures(margin=None)
+        with refused():
+            make_measures().layer_hues(0)
+
+    @pytest.mark.parametrize("number", [-1, 2, 2**31, 2**63, None, 0.5])
+    def test_hues_of_no_layer(self, number):
+        with refused():
+            make_measures().layer_hues(number=number)
 
     @pytest.mark.parametrize(
         "layers",
@@ -626,20 +669,6 @@ class TestDoor:
         with refused():
             measure(rules=rules)
 
-    @pytest.mark.parametrize("limits", [None, [], [0.1] * 3, [0.1] * 5, [None] * 4], ids=str)
-    def test_limits(self, limits):
-        with refused():
-            measure(limits=limits)
-
-    @pytest.mark.parametrize(
-        ("width", "height"),
-        [(0, 2), (3, 0), (-3, 2), (3, -2), (2**31, 2), (3, 2**63), (2**32 + 3, 2), (4, 2), (3, 1),
-         (1.5, 2), (None, 2)],
-    )  # fmt: skip
-    def test_size_of_the_strip(self, width, height):
-        with refused():
-            measure(width=width, height=height)
-
     @pytest.mark.parametrize("level", ["v9", None, 0])
     def test_instruction_set(self, level):
         with refused():
@@ -650,49 +679,45 @@ class TestDoor:
         """Numbers decide what is counted, never where."""
         strange = [0.0, -1.0, 1e38, math.inf, -math.inf, math.nan]
         samples = broken(layers_of_labels(2, 2, 520))
-        for value, place, bins in itertools.product(strange, range(4), (1, 6, 65536)):
-            if bins == 65536 and (place, value) != (1, -1.0):
+        limits = ("half_step", "achromatic", "foreign_sine", "foreign_cosine")
+        for value, limit, bins in itertools.product(strange, limits, (1, 6, 65536)):
+            if bins == 65536 and (limit, value) != ("achromatic", -1.0):
                 continue
-            limits = [1e-5, 0.02, 0.07, 0.99]
-            limits[place] = value
-            results, hues, others = sums(bins=bins)
-            measure(
-                rules=make_rules(order=order, permutation=[1, 0], background=[0.1, 0.2, 0.3]),
+            measures = measure(
+                make_measures(
+                    width=520,
+                    bins=bins,
+                    provenance=make_provenance(**planes_of(2, 520)),
+                    **{limit: value},
+                ),
+                rules=make_rules(order=order, permutation=[1, 0], background=make_background()),
                 layers=[make_layer(layer) for layer in samples],
-                width=520,
-                limits=limits,
-                **dict(zip(NAMES, (results, hues, others, *planes_of(2, 520)), strict=True)),
             )
-            assert pixels_of(hues, others) == [1040] * 4
+            assert pixels_of(measures) == [1040] * 4
 
     @pytest.mark.parametrize("coefficient", [0.0, math.inf, math.nan, 1e38])
     def test_coefficients_of_any_value(self, coefficient):
+        background = make_background(luminance=coefficient, p=[coefficient] * 2)
+        space = make_maps(coefficient=coefficient, weight_red=coefficient, weight_blue=coefficient)
         for order in ALL_ORDERS:
             rules = make_rules(
-                order=order, permutation=[1, 0], background=[coefficient] * 3, gain=coefficient,
-                weights=[coefficient] * 2, to_p=[coefficient] * 4, from_p=[coefficient] * 6,
-            )  # fmt: skip
-            results, hues, others = sums()
+                order=order, permutation=[1, 0], background=background, gain=coefficient, space=space
+            )
             layers = [make_layer(layer) for layer in broken(layers_of_labels(2, 2, 3))]
-            measure(rules=rules, layers=layers, results=results, hues=hues, others=others)
-            assert pixels_of(hues, others) == [6] * 4
+            assert pixels_of(measure(rules=rules, layers=layers)) == [6] * 4
 
     @pytest.mark.parametrize("width", [1, 3, 15, 16, 17, 511, 512, 513])
-    def test_nothing_is_written_beside_the_arrays(self, width):
+    def test_nothing_is_written_beside_the_planes(self, width):
         for order in ALL_ORDERS:
-            memories, arrays = [], []
-            for good in (*sums(), *planes_of(2, width)):
+            memories, planes = [], {}
+            for name, good in planes_of(2, width).items():
                 memory = np.full(good.size + 128, 99, good.dtype)
-                array = memory[64:-64].reshape(good.shape)
-                array[...] = 0
+                planes[name] = memory[64:-64].reshape(good.shape)
                 memories.append(memory)
-                arrays.append(array)
-            layers = layers_of_labels(2, 2, width)
             measure(
+                make_measures(width=width, provenance=make_provenance(**planes)),
                 rules=make_rules(order=order, permutation=[1, 0]),
-                layers=[make_layer(layer) for layer in layers],
-                width=width,
-                **dict(zip(NAMES, arrays, strict=True)),
+                layers=[make_layer(layer) for layer in layers_of_labels(2, 2, width)],
             )
             for memory in memories:
                 assert (memory[:64] == 99).all()
@@ -700,50 +725,50 @@ class TestDoor:
 
     def test_sums_are_added_to_and_provenance_is_set(self):
         layers = [make_layer(layer) for layer in layers_of_labels(2, 2, 3)]
-        once, twice = sums(), sums()
         planes = planes_of()
-        measure(layers=layers, **dict(zip(NAMES, (*once, *planes), strict=True)))
-        again = [np.full_like(plane, 7) for plane in planes]
+        again = {name: np.full_like(plane, 7) for name, plane in planes.items()}
+        once = measure(make_measures(provenance=make_provenance(**planes)), layers=layers)
+        twice = make_measures(provenance=make_provenance(**again))
         for _ in range(2):
-            measure(layers=layers, **dict(zip(NAMES, (*twice, *again), strict=True)))
-        for one, two in zip(once, twice, strict=True):
-            assert np.array_equal(2 * one[..., : one.shape[-1]], two)
-        for one, two in zip(planes, again, strict=True):
-            assert np.array_equal(one, two)
+            measure(twice, layers=layers)
+        for one, two in ((once, twice), *zip(hues_of(once), hues_of(twice), strict=True)):
+            names = []
+            for (name, a), (_, b) in zip(sums_of(one), sums_of(two), strict=True):
+                assert np.array_equal(2 * np.asarray(a), b), name
+                names.append(name)
+            assert {"count", "rgb"} < set(names) or "result.layers[1].survived" in names
+        for name, plane in planes.items():
+            assert np.array_equal(plane, again[name])
+
+    def test_arrays_that_were_given_are_nobody_elses(self):
+        measures = measure(layers=[make_layer(layer) for layer in layers_of_labels(2, 2, 3)])
+        hues = measures.result_hues
+        before = {name: getattr(hues, name).copy() for name in ("count", "chroma", "alpha", "rgb")}
+        for name in before:
+            getattr(hues, name)[:] = -1
+        del hues
+        for name, values in before.items():
+            assert np.array_equal(getattr(measures.result_hues, name), values)
 
     @pytest.mark.parametrize("changed", [{"layers": 3}, {"width": 4}, {"height": 1}])
     def test_measures_belong_to_one_strip(self, changed):
-        size = {"layers": 2, "width": WIDTH, "height": HEIGHT, **changed}
-        good = (*sums(size["layers"]), *planes_of(size["height"], size["width"]))
-        measures_of_another = _kernel.measures(
-            limits=[1e-5, 0.02, 0.07, 0.99],
-            depends_on_order=True,
-            **size,
-            **dict(zip(NAMES, good, strict=True)),
-        )
-        accumulator = _kernel.Accumulator(make_rules(), WIDTH, HEIGHT)
-        accumulator.add([0, 1], [make_layer(), make_layer()])
+        accumulator = _kernel.Accumulator(rules=make_rules(), width=WIDTH, height=HEIGHT)
+        accumulator.add(numbers=[0, 1], layers=[make_layer(), make_layer()])
         out = np.empty((HEIGHT, WIDTH, 4), np.float32)
         with refused():
-            accumulator.result(out, *FLOATS, measures_of_another)
+            accumulator.result(
+                out=out, codes=None, measures=make_measures(provenance=None, **changed)
+            )
 
     @pytest.mark.parametrize("at_once", [1, 2])
     def test_layers_are_measured_when_all_come_at_once(self, at_once):
-        wanted = _kernel.measures(
-            limits=[1e-5, 0.02, 0.07, 0.99],
-            depends_on_order=True,
-            layers=2,
-            width=WIDTH,
-            height=HEIGHT,
-            **dict(zip(NAMES, (*sums(), *planes_of()), strict=True)),
-        )
-        accumulator = _kernel.Accumulator(make_rules(), WIDTH, HEIGHT)
+        accumulator = _kernel.Accumulator(rules=make_rules(), width=WIDTH, height=HEIGHT)
         for begin in range(0, 2, at_once):
             numbers = list(range(begin, begin + at_once))
-            accumulator.add(numbers, [make_layer() for _ in numbers])
+            accumulator.add(numbers=numbers, layers=[make_layer() for _ in numbers])
         out = np.empty((HEIGHT, WIDTH, 4), np.float32)
         with nullcontext() if at_once == 2 else refused():
-            accumulator.result(out, *FLOATS, wanted)
+            accumulator.result(out=out, codes=None, measures=make_measures())
 
     @pytest.mark.parametrize("stride", STRIDED)
     def test_layers_are_checked_where_they_are_made(self, stride):

@@ -1,4 +1,4 @@
-"""The kernel against the reference in all that can be handed to it; its bytes; its door."""
+"""The kernel against the reference in all that can be handed to it; its bytes; its binding."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ class Result:
 
 def run(by, rules, strips, width, height, kind="float", *, at_once=1, dtype=np.float32):
     """The strips, layer 0 first, through `kernel` or `reference`, `at_once` of them at a time."""
-    accumulator = by.start(rules, width, height, dtype)
+    accumulator = by.ENGINE.start(rules, width, height, dtype)
     losses, numbers = Losses(), list(rules.arrival)
     # The reference's NaN and Inf are the same with and without numpy's warnings.
     with np.errstate(all="ignore"):
@@ -326,7 +326,7 @@ def assert_same(rules, strips, width, height, kind="float"):
 
 MODES = ("straight", "premultiplied", "premultiplied-encoded", "luminance")
 CURVES = (SRGB, LINEAR, gamma(2.2), REC709_CAMERA)
-# Of custom primaries, the door sees only the matrix: one with another white, one with the same.
+# Of custom primaries, the binding sees only the matrix: one with another white, one with the same.
 SOME_PRIMARIES = [PRIMARIES[name] for name in ("rec709", "display-p3", "acescg")]
 
 
@@ -871,7 +871,7 @@ class TestBytes:
     def test_a_level_that_there_is_not_is_an_error_that_lists_the_valid_ones(self, monkeypatch):
         monkeypatch.setenv(kernel.LEVEL_VARIABLE, "v9")
         with pytest.raises(ValueError, match=r"v9.*baseline"):
-            kernel.start(stack_rules(1), 1, 1)
+            kernel.ENGINE.start(stack_rules(1), 1, 1)
 
     @pytest.mark.parametrize("space", ["linear-rgb", "oklab"])
     @pytest.mark.parametrize("order", ORDERS)
@@ -981,43 +981,80 @@ class TestStackBytes:
             assert [int(number) for number in said.groups()] == [rows, threads]
 
 
-# ---- the door ------------------------------------------------------------------------------------
+# ---- the binding -------------------------------------------------------------------------------
+
+
+#: What is right but for the samples.
+ARGUMENTS_OF_A_LAYER = {
+    "decode": None, "alpha_straight": False, "matrix": None, "left": 0, "top": 0, "opacity": 1.0,
+    "factor_a": _kernel.Factor.ONE, "factor_b": _kernel.Factor.REST, "behind": False,
+    "zero_nonfinite": False,
+}  # fmt: skip
 
 
 def make_layer(samples=None, decode=None, **changed):
     """`_kernel.layer` with arguments that are right but for those given."""
-    arguments = {
-        "alpha_straight": False, "matrix": None, "left": 0, "top": 0, "opacity": 1.0,
-        "factor_a": 1, "factor_b": 3, "behind": False, "zero_nonfinite": False,
-    }  # fmt: skip
     samples = np.zeros((2, 3, 4), np.float32) if samples is None else samples
-    return _kernel.layer(samples=samples, decode=decode, **{**arguments, **changed})
+    return _kernel.layer(
+        **{**ARGUMENTS_OF_A_LAYER, "samples": samples, "decode": decode, **changed}
+    )
+
+
+#: Coefficients of the maps of a space, by the rows that each name has.
+PLANE_ROWS = {"to_p": 2, "from_p": 3}
+ROWS_OF_MAPS = {
+    "linear": PLANE_ROWS,
+    "hsl": PLANE_ROWS,
+    "oklab": {"to_lms": 3, "to_lab": 3, "to_roots": 3, "from_lms": 3},
+    "cielab": {"to_xz": 2, "from_xz": 3},
+}
+
+
+def make_maps(kind="linear", coefficient=1.0, **changed):
+    """`_kernel.linear_maps` or those of another space, with all coefficients the same."""
+    arguments = {"weight_red": 0.2, "weight_blue": 0.1}
+    for name, rows in ROWS_OF_MAPS[kind].items():
+        arguments[name] = [[coefficient] * 2] * rows
+    if kind in ("oklab", "cielab"):
+        arguments["inverse_largest"] = 0.5
+    return getattr(_kernel, f"{kind}_maps")(**{**arguments, **changed})
+
+
+def make_background(**changed):
+    return _kernel.background(**{"luminance": 0.1, "p": [0.2, 0.3], "lo": 0.0, "hi": 0.0, **changed})
 
 
 def make_rules(**changed):
     arguments = {
-        "blending": 0, "tolerance": 0.03, "rounding_angle": 1e-4, "gray_bias": 0.0, "order": 0,
-        "permutation": [], "layers": 2, "background": None, "gain": 1.0,
-        "weights": [0.2, 0.1], "to_p": [1.0] * 4, "from_p": [1.0] * 6,
+        "blending": _kernel.Blending.HUE_PRESERVING, "hue_tolerance": 0.03, "rounding_angle": 1e-4,
+        "gray_bias": 0.0, "order": BOTTOM_UP, "permutation": [], "layers": 2, "background": None,
+        "gain": 1.0, "space": make_maps(),
     }  # fmt: skip
     return _kernel.rules(**{**arguments, **changed})
 
 
 def make_accumulator(rules=None, width=3, height=2, level="", **changed):
-    return _kernel.Accumulator(rules or make_rules(**changed), width, height, level)
+    return _kernel.Accumulator(
+        rules=rules or make_rules(**changed), width=width, height=height, level=level
+    )
 
 
-BOTTOM_UP, FRONT_TO_BACK, PERMUTATION, BALANCED, SIMULTANEOUS = ALL_ORDERS = range(5)
-FLOAT_CODES = kernel._codes(np.dtype(np.float32))
-CODES_8 = kernel._codes(np.dtype(np.uint8))
-CODES_16 = kernel._codes(np.dtype(np.uint16))
+ALL_ORDERS = tuple(_kernel.Order)
+BOTTOM_UP, FRONT_TO_BACK, PERMUTATION = (
+    _kernel.Order.BOTTOM_UP, _kernel.Order.FRONT_TO_BACK, _kernel.Order.PERMUTATION
+)  # fmt: skip
+BALANCED, SIMULTANEOUS = _kernel.Order.BALANCED, _kernel.Order.SIMULTANEOUS
+#: What is no choice: numbers, names, and members of other enums.
+NO_CHOICES = (-1, 0, 1, 2**31, None, "over", "BOTTOM_UP", 1.5, _kernel.Losses)
+CODES_8 = kernel.code_tables(np.dtype(np.uint8))
+CODES_16 = kernel.code_tables(np.dtype(np.uint16))
 
 
 def full(**changed):
     """An accumulator that both its layers have come to."""
     accumulator = make_accumulator(permutation=[1, 0], **changed)
     turns = [1, 0] if changed.get("order") == FRONT_TO_BACK else [0, 1]
-    accumulator.add(turns, [make_layer(), make_layer()])
+    accumulator.add(numbers=turns, layers=[make_layer(), make_layer()])
     return accumulator
 
 
@@ -1025,15 +1062,11 @@ def out(dtype=np.float32, height=2, width=3, channels=4):
     return np.zeros((height, width, channels), dtype)
 
 
-def codes_8(**changed):
-    """What `result` needs for 8-bit codes, but for what is changed."""
-    names = ("thresholds", "first_code", "bucket_bits", "limits", "matrix", "weights")
-    return tuple({**dict(zip(names, CODES_8, strict=True)), **changed}.values())
-
-
-def limits_8(smallest):
-    """The limits of 8-bit codes, but for where buckets begin."""
-    return [*CODES_8[3][:3], smallest]
+def make_codes(tables=CODES_8, **changed):
+    """`_kernel.codes` of a depth, but for what is changed."""
+    return _kernel.codes(
+        **{**tables, "matrix": None, "luminance_weights": [0.2, 0.7, 0.1], **changed}
+    )
 
 
 def unaligned(dtype, shape):
@@ -1080,26 +1113,28 @@ BAD_TABLES = {
 BAD_THRESHOLDS = {
     **BAD_TABLES,
     "zeros": TABLE_8,
-    "from high to low": np.ascontiguousarray(CODES_8[0][::-1]),
-    "one twice": np.concatenate([CODES_8[0][:1], CODES_8[0][:-2], [np.inf]], dtype=np.float32),
-    "one NaN": np.where(np.arange(256) == 7, np.nan, CODES_8[0]).astype(np.float32),
+    "from high to low": np.ascontiguousarray(CODES_8["thresholds"][::-1]),
+    "one twice": np.concatenate(
+        [CODES_8["thresholds"][:1], CODES_8["thresholds"][:-2], [np.inf]], dtype=np.float32
+    ),
+    "one NaN": np.where(np.arange(256) == 7, np.nan, CODES_8["thresholds"]).astype(np.float32),
     "none infinite": np.arange(1, 257, dtype=np.float32),
     "negative": np.append(np.arange(-5, 250), np.inf).astype(np.float32),
 }
 BAD_FIRST_CODES = {
     "none": None,
-    "short": CODES_8[1][:-1],
-    "long": np.append(CODES_8[1], CODES_8[1][-1]),
-    "one beyond": CODES_8[1] + np.uint16(1),
-    "largest": np.full_like(CODES_8[1], 65535),
-    "floats": CODES_8[1].astype(np.float32),
-    "signed": CODES_8[1].astype(np.int16),
-    "backwards": CODES_8[1][::-1],
-    "unaligned": unaligned(np.uint16, CODES_8[1].shape),
+    "short": CODES_8["first_code"][:-1],
+    "long": np.append(CODES_8["first_code"], CODES_8["first_code"][-1]),
+    "one beyond": CODES_8["first_code"] + np.uint16(1),
+    "largest": np.full_like(CODES_8["first_code"], 65535),
+    "floats": CODES_8["first_code"].astype(np.float32),
+    "signed": CODES_8["first_code"].astype(np.int16),
+    "backwards": CODES_8["first_code"][::-1],
+    "unaligned": unaligned(np.uint16, CODES_8["first_code"].shape),
 }
 
 
-class TestDoor:
+class TestBinding:
     """Nothing that Python can pass reads or writes out of bounds: it is refused."""
 
     @pytest.mark.parametrize("dtype", WRONG_TYPES)
@@ -1120,7 +1155,7 @@ class TestDoor:
     @pytest.mark.parametrize("samples", [None, [[[0.0] * 4]], b"0123", 1.0, object()], ids=lambda samples: type(samples).__name__)
     def test_samples_that_are_no_array(self, samples):
         with refused():
-            _kernel.layer(samples, None, False, None, 0, 0, 1.0, 1, 3, False, False)
+            _kernel.layer(**{**ARGUMENTS_OF_A_LAYER, "samples": samples})
 
     @pytest.mark.parametrize(
         ("dtype", "table"), [(np.float32, None), (np.float16, None), (np.uint16, TABLE_16)]
@@ -1150,7 +1185,7 @@ class TestDoor:
         with refused():
             make_layer(**{axis: value})
 
-    @pytest.mark.parametrize("value", [-1, 4, 2**31, None, 1.5])
+    @pytest.mark.parametrize("value", [*NO_CHOICES, BOTTOM_UP], ids=str)
     @pytest.mark.parametrize("factor", ["factor_a", "factor_b"])
     def test_factors(self, factor, value):
         with refused():
@@ -1168,21 +1203,23 @@ class TestDoor:
         with refused():
             make_layer(matrix=matrix)
 
-    @pytest.mark.parametrize("order", [-1, 5, 2**31, None])
+    @pytest.mark.parametrize("order", [*NO_CHOICES, _kernel.Factor.ONE], ids=str)
     def test_unknown_order(self, order):
         with refused():
             make_rules(order=order)
+        with refused():
+            _kernel.scratch_bytes(order=order, layers=3)
 
-    @pytest.mark.parametrize("blending", [-1, 3, 2**31, None])
+    @pytest.mark.parametrize("blending", [*NO_CHOICES, BOTTOM_UP], ids=str)
     def test_unknown_blending(self, blending):
         with refused():
             make_rules(blending=blending)
 
-    @pytest.mark.parametrize("order", ALL_ORDERS[1:])
+    @pytest.mark.parametrize("order", [order for order in ALL_ORDERS if order is not BOTTOM_UP])
     def test_the_foremost_is_found_from_the_bottom_up_alone(self, order):
-        make_rules(blending=2)
+        make_rules(blending=_kernel.Blending.FOREMOST)
         with refused():
-            make_rules(blending=2, order=order, permutation=[1, 0])
+            make_rules(blending=_kernel.Blending.FOREMOST, order=order, permutation=[1, 0])
 
     @pytest.mark.parametrize("gray_bias", [-0.1, 1.1, np.nan, np.inf, None])
     def test_gray_bias(self, gray_bias):
@@ -1204,30 +1241,71 @@ class TestDoor:
             make_rules(order=PERMUTATION, permutation=permutation)
 
     @pytest.mark.parametrize(
-        ("what", "size"), [("background", 2), ("weights", 3), ("to_p", 5), ("from_p", 5)]
-    )
-    def test_coefficients(self, what, size):
+        ("what", "value"),
+        [("luminance", None), ("luminance", [0.1]), ("p", [0.1]), ("p", [0.1] * 3), ("p", None),
+         ("lo", None), ("hi", "1")],
+        ids=str,
+    )  # fmt: skip
+    def test_background(self, what, value):
         with refused():
-            make_rules(**{what: [0.1] * size})
+            make_background(**{what: value})
 
-    @pytest.mark.parametrize(
-        ("maps", "numbers"),
-        [(-1, 0), (4, 0), (0, 1), (1, 11), (2, 24), (2, 26), (2, 11), (3, 10), (3, 12), (3, 0)],
-    )
-    def test_maps_of_a_space(self, maps, numbers):
+    @pytest.mark.parametrize("background", [0, [0.1, 0.2, 0.3], (0.1, [0.2, 0.3])], ids=str)
+    def test_what_is_no_background(self, background):
         with refused():
-            make_rules(maps=maps, numbers=[0.5] * numbers)
+            make_rules(background=background)
 
-    @pytest.mark.parametrize("bound", [0.0, -1.0, math.nan])
-    def test_bound_of_a_space(self, bound):
-        make_rules(maps=3, numbers=[0.5] * 11)
+    @pytest.mark.parametrize("kind", ROWS_OF_MAPS)
+    def test_maps_of_a_space(self, kind):
+        for name, rows in ROWS_OF_MAPS[kind].items():
+            for wrong in (
+                None, [], [[0.5] * 2] * (rows - 1), [[0.5] * 2] * (rows + 1), [[0.5] * 3] * rows,
+                [[0.5]] * rows, [0.5] * 2 * rows, [[None] * 2] * rows,
+            ):  # fmt: skip
+                with refused():
+                    make_maps(kind, **{name: wrong})
+        for weight in ("weight_red", "weight_blue"):
+            with refused():
+                make_maps(kind, **{weight: None})
+
+    @pytest.mark.parametrize("space", [None, 0, "linear-rgb", [[1.0] * 2] * 2], ids=str)
+    def test_what_are_no_maps(self, space):
         with refused():
-            make_rules(maps=3, numbers=[*[0.5] * 10, bound])
+            make_rules(space=space)
+
+    @pytest.mark.parametrize("kind", ["oklab", "cielab"])
+    @pytest.mark.parametrize("bound", [0.0, -1.0, math.nan, None])
+    def test_bound_of_a_space(self, kind, bound):
+        make_maps(kind)
+        with refused():
+            make_maps(kind, inverse_largest=bound)
 
     def test_objects_without_content(self):
-        for kind in (_kernel.Layer, _kernel.Rules, _kernel.Accumulator):
+        kinds = (
+            _kernel.Layer, _kernel.Rules, _kernel.Accumulator, _kernel.SpaceMaps, _kernel.Background,
+            _kernel.Codes, _kernel.Measures, _kernel.Provenance,
+        )  # fmt: skip
+        for kind in kinds:
             with refused():
                 kind()
+
+    def test_keywords_alone_are_taken(self):
+        """No argument has a place, none is left out, and none is of another name."""
+        calls = {
+            _kernel.layer: {**ARGUMENTS_OF_A_LAYER, "samples": np.zeros((2, 3, 4), np.float32)},
+            _kernel.background: {"luminance": 0.1, "p": [0.2, 0.3], "lo": 0.0, "hi": 0.0},
+            _kernel.codes: {**CODES_8, "matrix": None, "luminance_weights": [0.2, 0.7, 0.1]},
+            _kernel.scratch_bytes: {"order": BALANCED, "layers": 3},
+        }
+        for call, arguments in calls.items():
+            call(**arguments)
+            with refused():
+                call(*arguments.values())
+            with refused():
+                call(**arguments, more=0)
+            for name in arguments:
+                with refused():
+                    call(**{other: value for other, value in arguments.items() if other != name})
 
     @pytest.mark.parametrize(
         ("width", "height"),
@@ -1241,11 +1319,11 @@ class TestDoor:
         # Layers that come one by one are folded into planes of the whole strip.
         accumulator = make_accumulator(width=2**26, height=2**26)
         with pytest.raises(MemoryError):
-            accumulator.add([0], [make_layer()])
+            accumulator.add(numbers=[0], layers=[make_layer()])
 
     def test_strip_without_rules_or_level(self):
         with refused():
-            _kernel.Accumulator(None, 1, 1, "")
+            _kernel.Accumulator(rules=None, width=1, height=1, level="")
         for level in ("v9", None, 0):
             with refused():
                 make_accumulator(level=level)
@@ -1256,7 +1334,9 @@ class TestDoor:
         for layers in ([layer, make_layer()], [make_layer(), layer], [layer, layer]):
             accumulator = make_accumulator(order=order, permutation=[1, 0])
             with refused():
-                accumulator.add([1, 0] if order == FRONT_TO_BACK else [0, 1], layers)
+                accumulator.add(
+                    numbers=[1, 0] if order == FRONT_TO_BACK else [0, 1], layers=layers
+                )
 
     @pytest.mark.parametrize("order", ALL_ORDERS)
     def test_numbers_and_layers_that_do_not_pair(self, order):
@@ -1272,7 +1352,7 @@ class TestDoor:
             (None, None),
         ):
             with refused():
-                make_accumulator(order=order, permutation=[1, 0]).add(numbers, layers)
+                make_accumulator(order=order, permutation=[1, 0]).add(numbers=numbers, layers=layers)
 
     @pytest.mark.parametrize("order", ALL_ORDERS)
     def test_layers_out_of_turn(self, order):
@@ -1282,25 +1362,25 @@ class TestDoor:
         ):  # fmt: skip
             with refused():
                 make_accumulator(order=order, permutation=[1, 0]).add(
-                    numbers, [make_layer()] * len(numbers)
+                    numbers=numbers, layers=[make_layer()] * len(numbers)
                 )
         for number in (-1, 0, 1, 2):
             with refused():
-                full(order=order).add([number], [make_layer()])
+                full(order=order).add(numbers=[number], layers=[make_layer()])
 
     @pytest.mark.parametrize("order", ALL_ORDERS)
     def test_result_before_all_layers_have_come(self, order):
         accumulator = make_accumulator(order=order, permutation=[1, 0])
         with refused():
-            accumulator.result(out(), *FLOAT_CODES)
-        accumulator.add([1 if order == FRONT_TO_BACK else 0], [make_layer()])
+            accumulator.result(out=out(), codes=None)
+        accumulator.add(numbers=[1 if order == FRONT_TO_BACK else 0], layers=[make_layer()])
         with refused():
-            accumulator.result(out(), *FLOAT_CODES)
+            accumulator.result(out=out(), codes=None)
 
     @pytest.mark.parametrize("dtype", WRONG_TYPES)
     def test_out_of_another_type(self, dtype):
         with refused():
-            full().result(out(dtype), *FLOAT_CODES)
+            full().result(out=out(dtype), codes=None)
 
     @pytest.mark.parametrize(
         "shape",
@@ -1309,99 +1389,125 @@ class TestDoor:
     )
     def test_out_of_another_shape(self, shape):
         with refused():
-            full().result(np.zeros(shape, np.float32), *FLOAT_CODES)
+            full().result(out=np.zeros(shape, np.float32), codes=None)
 
     @pytest.mark.parametrize("stride", STRIDED)
     def test_out_that_is_not_one_run(self, stride):
         """A copy would be filled, and the result lost without a word."""
         with refused():
-            full().result(STRIDED[stride](out()), *FLOAT_CODES)
+            full().result(out=STRIDED[stride](out()), codes=None)
 
     def test_out_whose_rows_are_not_one_run(self):
         for rows in (out()[::-1], out(height=4)[::2]):
             with refused():
-                full().result(rows, *FLOAT_CODES)
+                full().result(out=rows, codes=None)
 
     def test_out_that_cannot_be_written(self):
         with refused():
-            full().result(np.frombuffer(bytes(96), np.float32).reshape(2, 3, 4), *FLOAT_CODES)
+            full().result(out=np.frombuffer(bytes(96), np.float32).reshape(2, 3, 4), codes=None)
         for nothing in (None, [[[0.0] * 4] * 3] * 2, bytes(96)):
             with refused():
-                full().result(nothing, *FLOAT_CODES)
+                full().result(out=nothing, codes=None)
 
     @pytest.mark.parametrize(
-        ("dtype", "codes"),
-        [(np.float32, FLOAT_CODES), (np.float16, FLOAT_CODES), (np.uint16, CODES_16)],
+        ("dtype", "tables"), [(np.float32, None), (np.float16, None), (np.uint16, CODES_16)]
     )
-    def test_out_that_is_not_aligned(self, dtype, codes):
+    def test_out_that_is_not_aligned(self, dtype, tables):
+        codes = None if tables is None else make_codes(tables)
         with refused():
-            full().result(unaligned(dtype, (2, 3, 4)), *codes)
+            full().result(out=unaligned(dtype, (2, 3, 4)), codes=codes)
 
     def test_codes_of_another_depth(self):
         for dtype, codes in (
-            (np.uint8, FLOAT_CODES),
-            (np.uint8, CODES_16),
-            (np.uint16, FLOAT_CODES),
-            (np.uint16, CODES_8),
+            (np.uint8, None),
+            (np.uint8, make_codes(CODES_16)),
+            (np.uint16, None),
+            (np.uint16, make_codes(CODES_8)),
+            (np.float16, make_codes(CODES_16)),
+            (np.float32, make_codes(CODES_8)),
+            (np.uint8, CODES_8),
+            (np.uint8, 8),
         ):
             with refused():
-                full().result(out(dtype), *codes)
+                full().result(out=out(dtype), codes=codes)
 
     @pytest.mark.parametrize("table", BAD_THRESHOLDS)
     def test_thresholds(self, table):
         with refused():
-            full().result(out(np.uint8), *codes_8(thresholds=BAD_THRESHOLDS[table]))
+            make_codes(thresholds=BAD_THRESHOLDS[table])
 
     @pytest.mark.parametrize("table", BAD_FIRST_CODES)
     def test_first_codes(self, table):
         with refused():
-            full().result(out(np.uint8), *codes_8(first_code=BAD_FIRST_CODES[table]))
+            make_codes(first_code=BAD_FIRST_CODES[table])
 
     @pytest.mark.parametrize("bits", [-1, 0, 6, 8, 17, 31, 32, 64, 2**31, None])
     def test_bucket_bits(self, bits):
         with refused():
-            full().result(out(np.uint8), *codes_8(bucket_bits=bits))
+            make_codes(bucket_bits=bits)
 
-    @pytest.mark.parametrize("limits", [None, [], [0.0] * 3, [0.0] * 4, [0.0] * 5], ids=str)
-    def test_limits(self, limits):
+    @pytest.mark.parametrize("limit", ["lowest", "darkest", "highest", "smallest"])
+    def test_limits(self, limit):
+        for wrong in (None, [0.5], "0.5"):
+            with refused():
+                make_codes(**{limit: wrong})
+
+    def test_tables_of_codes_are_copied(self):
+        """What is changed after it was checked would lead out of bounds."""
+        tables = {name: np.copy(CODES_8[name]) for name in ("thresholds", "first_code")}
+        codes, made = make_codes(**tables), [out(np.uint8), out(np.uint8)]
+        full().result(out=made[0], codes=codes)
+        tables["thresholds"][:] = 0
+        tables["first_code"][:] = 65535
+        full().result(out=made[1], codes=codes)
+        assert np.array_equal(*made)
+
+    @pytest.mark.parametrize("weights", [None, [], [0.1] * 2, [0.1] * 4, [None] * 3], ids=str)
+    def test_luminance_weights(self, weights):
         with refused():
-            full().result(out(np.uint8), *codes_8(limits=limits))
+            make_codes(luminance_weights=weights)
+
+    @pytest.mark.parametrize("matrix", [[1.0] * 8, [1.0] * 10, [None] * 9, np.eye(3)], ids=len)
+    def test_matrix_of_codes(self, matrix):
+        with refused():
+            make_codes(matrix=matrix)
 
     @pytest.mark.parametrize(
         "smallest", [math.nan, math.inf, 1.0, 2.0, -0.5, 0.3, 2.0**-40, 2.0**-64, 1e-45]
     )
     def test_where_buckets_begin(self, smallest):
         with refused():
-            full().result(out(np.uint8), *codes_8(limits=limits_8(smallest)))
+            make_codes(smallest=smallest)
 
     @pytest.mark.parametrize("order", ALL_ORDERS)
     def test_an_accumulator_survives_a_refusal(self, order):
         def added(numbers):
-            return accumulator.add(numbers, [make_layer(grey) for _ in numbers])
+            return accumulator.add(numbers=numbers, layers=[make_layer(grey) for _ in numbers])
 
         grey = np.full((2, 3, 4), 0.5, np.float32)
-        accumulator = make_accumulator(order=order, permutation=[1, 0], from_p=[0.0] * 6)
+        flat = make_maps(from_p=[[0.0] * 2] * 3)
+        accumulator = make_accumulator(order=order, permutation=[1, 0], space=flat)
         first, second = (1, 0) if order == FRONT_TO_BACK else (0, 1)
         for refused in ([first, first], [second], [7], [first, second, 0]):
             with pytest.raises(ValueError, match="layer"):
                 added(refused)
         added([first])
         with pytest.raises(ValueError, match="layer"):
-            accumulator.result(out(), *FLOAT_CODES)
+            accumulator.result(out=out(), codes=None)
         added([second])
         with pytest.raises(ValueError, match="out"):
-            accumulator.result(out(width=4), *FLOAT_CODES)
+            accumulator.result(out=out(width=4), codes=None)
         made = out()
-        accumulator.result(made, *FLOAT_CODES)
+        accumulator.result(out=made, codes=None)
         assert np.array_equal(made, np.full_like(made, 0.75))
 
     @pytest.mark.parametrize("order", ALL_ORDERS)
     def test_a_second_result_is_the_same_or_refused(self, order):
         accumulator = full(order=order)
         first, second = out(), out()
-        accumulator.result(first, *FLOAT_CODES)
+        accumulator.result(out=first, codes=None)
         try:
-            accumulator.result(second, *FLOAT_CODES)
+            accumulator.result(out=second, codes=None)
         except ValueError:
             return
         assert np.array_equal(first, second)
@@ -1416,8 +1522,10 @@ class TestDoor:
         for order in ALL_ORDERS:
             accumulator = make_accumulator(width=width, order=order, permutation=[1, 0])
             layers = [make_layer(np.ones((2, width, 4), np.float32)) for _ in range(2)]
-            accumulator.add([1, 0] if order == FRONT_TO_BACK else [0, 1], layers)
-            accumulator.result(made, *kernel._codes(dtype))
+            accumulator.add(
+                    numbers=[1, 0] if order == FRONT_TO_BACK else [0, 1], layers=layers
+                )
+            accumulator.result(out=made, codes=kernel._codes(dtype))
             assert (memory[:64] == 99).all()
             assert (memory[-64:] == 99).all()
             assert not (made == 99).any()
@@ -1426,13 +1534,13 @@ class TestDoor:
         """Whatever the limits of the gamut are said to be."""
         huge = np.full((2, 3, 4), 3e38, np.float32)
         for lowest, darkest, highest in itertools.product((-math.inf, 0.0, math.nan), repeat=3):
-            limits = [lowest, darkest, highest, CODES_8[3][3]]
+            codes = make_codes(lowest=lowest, darkest=darkest, highest=highest)
             for sign in (1, -1):
                 accumulator = make_accumulator(layers=1, gain=16.0)
-                accumulator.add([0], [make_layer(sign * huge)])
+                accumulator.add(numbers=[0], layers=[make_layer(sign * huge)])
                 made = out(np.uint8)
                 try:
-                    accumulator.result(made, *codes_8(limits=limits))
+                    accumulator.result(out=made, codes=codes)
                 except ValueError:
                     continue
                 assert set(made[..., :3].ravel().tolist()) <= {0, 255}
@@ -1445,27 +1553,27 @@ class TestDoor:
                 table = np.full(256, 0.25, np.float32)
                 layer = make_layer(samples, table)
                 del samples, table
-                accumulator.add([number], [layer])
+                accumulator.add(numbers=[number], layers=[layer])
                 del layer
                 np.full((100, 1000, 4), 7, np.uint8)  # takes the place of what was freed
             made = out(height=100, width=1000)
-            accumulator.result(made, *FLOAT_CODES)
+            accumulator.result(out=made, codes=None)
             assert (made[..., 0] == made[0, 0, 0]).all()
 
     @pytest.mark.parametrize("dtype", WRONG_TYPES)
     def test_a_strip_of_another_type_is_refused(self, dtype):
         """Before anything is made for it: a table for 32-bit codes would fill the memory."""
-        accumulator = kernel.start(stack_rules(1), 3, 2)
+        accumulator = kernel.ENGINE.start(stack_rules(1), 3, 2)
         with refused():
             accumulator.add([0], [Strip(np.zeros((2, 3, 4), dtype))])
 
     def test_strips_and_numbers_must_pair(self):
         strip = Strip(np.zeros((2, 3, 4), np.float32))
         with pytest.raises(ValueError, match="argument"):
-            kernel.start(stack_rules(2), 3, 2).add([0, 1], [strip])
+            kernel.ENGINE.start(stack_rules(2), 3, 2).add([0, 1], [strip])
         for numbers in ([1], [-1], [0, 0], [1, 0]):
             with pytest.raises(ValueError, match="layer"):
-                kernel.start(stack_rules(2), 3, 2).add(numbers, [strip] * len(numbers))
+                kernel.ENGINE.start(stack_rules(2), 3, 2).add(numbers, [strip] * len(numbers))
 
 
 # ---- which engine ------------------------------------------------------------------------------
@@ -1519,13 +1627,13 @@ class TestChoice:
         monkeypatch.delenv(engine.VARIABLE, raising=False)
         engine._warn_of_the_missing_kernel.cache_clear()
         with pytest.warns(HpcompWarning, match="not built"):
-            assert engine.active() is reference
-        assert engine.active() is reference  # a second warning would be an error here
+            assert engine.active() is reference.ENGINE
+        assert engine.active() is reference.ENGINE  # a second warning would be an error here
         monkeypatch.setenv(engine.VARIABLE, "kernel")
         with pytest.raises(SettingError, match=r"not built.*C\+\+ compiler"):
             engine.active()
         monkeypatch.setenv(engine.VARIABLE, "reference")
-        assert engine.active() is reference
+        assert engine.active() is reference.ENGINE
 
 
 def test_the_kernel_knows_every_primary_that_there_is():

@@ -1,4 +1,4 @@
-"""The loops between samples and what codecs deflate, against naive ones; their door."""
+"""The loops between samples and what codecs deflate, against naive ones; their binding."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hpcomp.imagefile import packing
-from hpcomp.kernel import _kernel
 from hpcomp.kernel import fused as kernel
+from hpcomp.kernel._kernel import packing as loops
 
 # Bytes of a sample.
 SIZES = {"uint": 4, "half": 2, "float": 4}
@@ -127,9 +127,9 @@ def total(differences):
 
 def exr_unpacked(block, packed, row_bytes, channel_bytes, first_row, shape, dtype, level=""):
     out = np.empty(shape, dtype)
-    _kernel.exr_unpack(
-        np.frombuffer(block, np.uint8), packed, row_bytes // 2,
-        [begin // 2 for begin in channel_bytes], first_row, out, level=level,
+    loops.exr_unpack(
+        block=np.frombuffer(block, np.uint8), packed=packed, row_units=row_bytes // 2,
+        channels=[begin // 2 for begin in channel_bytes], first_row=first_row, out=out, level=level,
     )  # fmt: skip
     return out
 
@@ -195,7 +195,7 @@ class TestExr:
         rgba = samples(16, 13, dtype)
         packed = packing.exr_packed(rgba)
         monkeypatch.setattr(packing, "UNPACKS", False)
-        monkeypatch.setattr(packing, "_kernel", None)
+        monkeypatch.setattr(packing, "_loops", None)
         assert same(packing.exr_packed(rgba), packed)
 
     def test_the_wrapper_counts_bytes(self):
@@ -210,13 +210,15 @@ class TestExr:
 
 def png_unfiltered(filtered, pixel_bytes, above, level=""):
     out = np.empty((filtered.shape[0], filtered.shape[1] - 1), np.uint8)
-    _kernel.png_unfilter(filtered, pixel_bytes, above, out, level=level)
+    loops.png_unfilter(
+        filtered=filtered, pixel_bytes=pixel_bytes, above=above, out=out, level=level
+    )
     return out
 
 
 def png_filtered(rows, pixel_bytes, level=""):
     out = np.empty((rows.shape[0], rows.shape[1] + 1), np.uint8)
-    _kernel.png_filter(rows, pixel_bytes, out, level=level)
+    loops.png_filter(rows=rows, pixel_bytes=pixel_bytes, out=out, level=level)
     return out
 
 
@@ -280,7 +282,7 @@ class TestPng:
     def test_of_equal_sums_the_row_above(self, monkeypatch, pixel_bytes, built):
         """One pixel below nothing is as far from the left as from above."""
         if not built:
-            monkeypatch.setattr(packing, "_kernel", None)
+            monkeypatch.setattr(packing, "_loops", None)
         rows = random_bytes(2, pixel_bytes)
         rows[0] = 0
         assert packing.png_filtered(rows, pixel_bytes)[:, 0].tolist() == [1, 2]
@@ -305,8 +307,8 @@ class TestPng:
 
     def test_where_the_kernel_was_not_built(self, monkeypatch):
         made = []
-        for kernel_or_none in (packing._kernel, None):
-            monkeypatch.setattr(packing, "_kernel", kernel_or_none)
+        for kernel_or_none in (packing._loops, None):
+            monkeypatch.setattr(packing, "_loops", kernel_or_none)
             made.append(
                 [
                     packing.png_filtered(make(height, 24 * width), pixel_bytes).tobytes()
@@ -328,7 +330,7 @@ def everything_made(level):
         for dtype, pixel_bytes in ((np.float16, 3), (np.float32, 8)):
             rgba = samples(3, width, dtype)
             packed = np.empty(rgba.nbytes, np.uint8)
-            _kernel.exr_pack(rgba, packed, level=level)
+            loops.exr_pack(samples=rgba, out=packed, level=level)
             size = width * rgba.dtype.itemsize
             begins = [3 * size, 2 * size, size, 0]
             for wanted in (begins, begins[:3], begins[1:2]):
@@ -370,7 +372,7 @@ class TestBytes:
         for dtype in DTYPES.values():
             rgba = samples(4, width, dtype)
             memory, packed = guarded(rgba.nbytes)
-            _kernel.exr_pack(rgba, packed, level=level)
+            loops.exr_pack(samples=rgba, out=packed, level=level)
             assert unharmed(memory)
             size = width * rgba.dtype.itemsize // 2
             for channels in (
@@ -381,17 +383,22 @@ class TestBytes:
             ):
                 for is_packed in (True, False):
                     memory, out = guarded((2, width, len(channels)), dtype)
-                    _kernel.exr_unpack(packed, is_packed, 4 * size, channels, 2, out, level=level)
+                    loops.exr_unpack(
+                        block=packed, packed=is_packed, row_units=4 * size, channels=channels,
+                        first_row=2, out=out, level=level,
+                    )  # fmt: skip
                     assert unharmed(memory)
         for pixel_bytes in PIXEL_BYTES:
             rows = few_bytes(5, width * pixel_bytes)
             memory, filtered = guarded((5, width * pixel_bytes + 1))
-            _kernel.png_filter(rows, pixel_bytes, filtered, level=level)
+            loops.png_filter(rows=rows, pixel_bytes=pixel_bytes, out=filtered, level=level)
             assert unharmed(memory)
             for kind in range(5):
                 filtered[:, 0] = kind
                 memory, out = guarded(rows.shape)
-                _kernel.png_unfilter(filtered, pixel_bytes, rows[0], out, level=level)
+                loops.png_unfilter(
+                    filtered=filtered, pixel_bytes=pixel_bytes, above=rows[0], out=out, level=level
+                )
                 assert unharmed(memory)
 
     def test_inputs_are_left_as_they_are(self):
@@ -405,7 +412,7 @@ class TestBytes:
         assert [array.tobytes() for array in inputs] == before
 
 
-# ---- the door ----------------------------------------------------------------------------------
+# ---- the binding -------------------------------------------------------------------------------
 
 
 def refused():
@@ -424,7 +431,7 @@ def read_only(array):
 
 
 def call(name, **changed):
-    """A door with arguments that are right but for those given."""
+    """A function of the binding with arguments that are right but for those given."""
     right = {
         "exr_unpack": {
             "block": np.zeros(4 * 48, np.uint8), "packed": True, "row_units": 24,
@@ -440,10 +447,10 @@ def call(name, **changed):
             "out": np.zeros((3, 25), np.uint8),
         },
     }[name]  # fmt: skip
-    return getattr(_kernel, name)(**{**right, **changed})
+    return getattr(loops, name)(**{**right, **changed})
 
 
-#: Every array that a door takes: its type, its shape, whether it is written to.
+#: Every array that the binding takes: its type, its shape, whether it is written to.
 ARRAYS = {
     ("exr_unpack", "block"): ("u1", (192,), False),
     ("exr_unpack", "out"): ("f2", (2, 6, 4), True),
@@ -464,7 +471,7 @@ NO_NUMBERS = (2**63, 2**64, -(2**63) - 1, 1.5, None, "1", [1])
 FAR_NUMBERS = (-1, -(2**31), -(2**63), 2**31, 2**40, 2**40 + 1, 2**60, 2**62, 2**63 - 1)
 
 
-class TestDoor:
+class TestBinding:
     """Nothing that Python can pass reads or writes out of bounds: it is refused."""
 
     @pytest.mark.parametrize("name", ["exr_unpack", "exr_pack", "png_unfilter", "png_filter"])

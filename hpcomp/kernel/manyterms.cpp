@@ -2,7 +2,7 @@
 // and the rivals that share backers with it, lie in windows around it; of all others only the strongest
 // counts. This file is compiled once: sorting has no use for wider registers.
 
-#include "crowd.h"
+#include "manyterms.h"
 
 #include <algorithm>
 #include <limits>
@@ -28,7 +28,7 @@ struct Window {
 
 // Of `n` terms. What is (3 n) goes around the circle three times, with the terms themselves from n to
 // 2 n, so that no window around them wraps.
-struct Crowd {
+struct HueCircle {
     int n;
     double equal, end;       // angles up to which a shoulder is 1, and from which it is 0
     Term *terms;             // (n), by hue
@@ -39,7 +39,7 @@ struct Crowd {
     double *strength;        // (3 n): as a rival of hues without a common backer
     double *rest;            // (5 n + 4): more scratch
 
-    Crowd(const Rules &rules, int n, double *scratch) : n(n) {
+    HueCircle(const Rules &rules, int n, double *scratch) : n(n) {
         const auto take = [&scratch](int64_t doubles) { return (scratch += doubles) - doubles; };
         const int64_t turns = 3 * int64_t(n);
         equal = double(rules.tolerance);
@@ -60,14 +60,14 @@ struct Crowd {
 
 // The windows of the hues within `reach` of one hue after the other, which hold no term twice.
 struct Sliding {
-    const Crowd &crowd;
+    const HueCircle &circle;
     double reach;
     int begin = 0, end = 0;
 
     Window to(double hue) {
-        while (crowd.hue[begin] < hue - reach - kAngleMargin) ++begin;
-        while (end < 3 * crowd.n && crowd.hue[end] <= hue + reach + kAngleMargin) ++end;
-        return {begin, std::min(end, begin + crowd.n)};
+        while (circle.hue[begin] < hue - reach - kAngleMargin) ++begin;
+        while (end < 3 * circle.n && circle.hue[end] <= hue + reach + kAngleMargin) ++end;
+        return {begin, std::min(end, begin + circle.n)};
     }
 };
 
@@ -79,57 +79,57 @@ double shoulder(const Rules &rules, double angle) {
 }
 
 // Terms sorted by hue, then by all else; false where one is NaN or infinite.
-bool sort_terms(const float *p, const int *there, const Crowd &crowd) {
+bool sort_terms(const float *p, const int *there, const HueCircle &circle) {
     bool finite = true;
-    for (int k = 0; k < crowd.n; ++k) {
+    for (int k = 0; k < circle.n; ++k) {
         const float *of = p + int64_t(there[k]) * 2 * kBlock;
         const double x = double(of[0]), y = double(of[kBlock]), angle = angle_of(magnitude(y), x);
-        crowd.terms[k] = {y < 0 ? -angle : angle, __builtin_sqrt(x * x + y * y), of[0], of[kBlock]};
-        finite &= crowd.terms[k].m - crowd.terms[k].m == 0;
+        circle.terms[k] = {y < 0 ? -angle : angle, __builtin_sqrt(x * x + y * y), of[0], of[kBlock]};
+        finite &= circle.terms[k].m - circle.terms[k].m == 0;
     }
     if (!finite) return false;
-    std::sort(crowd.terms, crowd.terms + crowd.n, [](const Term &a, const Term &b) {
+    std::sort(circle.terms, circle.terms + circle.n, [](const Term &a, const Term &b) {
         return std::tie(a.hue, a.m, a.x, a.y) < std::tie(b.hue, b.m, b.x, b.y);
     });
     return true;
 }
 
-void put_around_circle(const Crowd &crowd) {
-    for (int k = 0; k < crowd.n; ++k) {
-        crowd.hue[crowd.n + k] = crowd.terms[k].hue;
-        crowd.m[crowd.n + k] = crowd.terms[k].m;
+void put_around_circle(const HueCircle &circle) {
+    for (int k = 0; k < circle.n; ++k) {
+        circle.hue[circle.n + k] = circle.terms[k].hue;
+        circle.m[circle.n + k] = circle.terms[k].m;
     }
-    crowd.repeat(crowd.hue, kTurn);
-    crowd.repeat(crowd.m, 0);
-    crowd.m_before[0] = 0;
-    for (int k = 0; k < 3 * crowd.n; ++k) crowd.m_before[k + 1] = crowd.m_before[k] + crowd.m[k];
+    circle.repeat(circle.hue, kTurn);
+    circle.repeat(circle.m, 0);
+    circle.m_before[0] = 0;
+    for (int k = 0; k < 3 * circle.n; ++k) circle.m_before[k + 1] = circle.m_before[k] + circle.m[k];
 }
 
-void find_supports(const Rules &rules, const Crowd &crowd) {
-    Sliding equal{crowd, crowd.equal}, backing{crowd, crowd.end};
-    for (int i = 0; i < crowd.n; ++i) {
-        const double hue = crowd.terms[i].hue;
-        const Window same = equal.to(hue), all = crowd.backers[i] = backing.to(hue);
-        double sum = crowd.m_before[same.end] - crowd.m_before[same.begin];
-        const auto back = [&](int k) { sum += shoulder(rules, magnitude(hue - crowd.hue[k])) * crowd.m[k]; };
+void find_supports(const Rules &rules, const HueCircle &circle) {
+    Sliding equal{circle, circle.equal}, backing{circle, circle.end};
+    for (int i = 0; i < circle.n; ++i) {
+        const double hue = circle.terms[i].hue;
+        const Window same = equal.to(hue), all = circle.backers[i] = backing.to(hue);
+        double sum = circle.m_before[same.end] - circle.m_before[same.begin];
+        const auto back = [&](int k) { sum += shoulder(rules, magnitude(hue - circle.hue[k])) * circle.m[k]; };
         for (int k = all.begin; k < same.begin; ++k) back(k);
         for (int k = same.end; k < all.end; ++k) back(k);
-        crowd.support[i] = sum;
+        circle.support[i] = sum;
     }
 }
 
 // hold[i]: the sum of min(m_i, m_k) over all terms k.
-void find_holds(const Crowd &crowd) {
-    const int n = crowd.n;
-    double *sorted = crowd.rest, *before = sorted + n;
-    for (int k = 0; k < n; ++k) sorted[k] = crowd.terms[k].m;
+void find_holds(const HueCircle &circle) {
+    const int n = circle.n;
+    double *sorted = circle.rest, *before = sorted + n;
+    for (int k = 0; k < n; ++k) sorted[k] = circle.terms[k].m;
     std::sort(sorted, sorted + n);
     before[0] = 0;
     for (int k = 0; k < n; ++k) before[k + 1] = before[k] + sorted[k];
     for (int i = 0; i < n; ++i) {
-        const double m = crowd.terms[i].m;
+        const double m = circle.terms[i].m;
         const int64_t weaker = std::lower_bound(sorted, sorted + n, m) - sorted;
-        crowd.hold[i] = before[weaker] + double(n - weaker) * m;
+        circle.hold[i] = before[weaker] + double(n - weaker) * m;
     }
 }
 
@@ -146,19 +146,19 @@ struct Backing {
     double *angle;    // (n)
     double *sums[4];  // (n + 1): of those before
 
-    Backing(const Crowd &crowd) : n(0), angle(crowd.rest) {
+    Backing(const HueCircle &circle) : n(0), angle(circle.rest) {
         for (int power = 0; power < 4; ++power)
-            sums[power] = crowd.rest + crowd.n + power * int64_t(crowd.n + 1);
+            sums[power] = circle.rest + circle.n + power * int64_t(circle.n + 1);
     }
 
-    void fill(const Rules &rules, const Crowd &crowd, int i) {
-        const Window of = crowd.backers[i];
+    void fill(const Rules &rules, const HueCircle &circle, int i) {
+        const Window of = circle.backers[i];
         n = of.end - of.begin;
         for (int power = 0; power < 4; ++power) sums[power][0] = 0;
         for (int k = 0; k < n; ++k) {
-            const double radians = crowd.hue[of.begin + k] - crowd.terms[i].hue;
-            angle[k] = radians / crowd.equal;
-            double share = shoulder(rules, magnitude(radians)) * crowd.m[of.begin + k];
+            const double radians = circle.hue[of.begin + k] - circle.terms[i].hue;
+            angle[k] = radians / circle.equal;
+            double share = shoulder(rules, magnitude(radians)) * circle.m[of.begin + k];
             for (int power = 0; power < 4; ++power) {
                 sums[power][k + 1] = sums[power][k] + share;
                 share *= angle[k];
@@ -195,55 +195,55 @@ struct Common {
 };
 
 // What its rivals near by cancel of a term at most; `same` are those of its own hue.
-double cancelled_near(const Rules &rules, const Crowd &crowd, const Backing &backing, int i, Window near,
+double cancelled_near(const Rules &rules, const HueCircle &circle, const Backing &backing, int i, Window near,
                       Window same) {
     const bool smooth = rules.inverse_tolerance > 0;
-    const double turn = kTurn / crowd.equal;
+    const double turn = kTurn / circle.equal;
     // Far shoulders may meet on the other side of the circle, too.
-    const bool both_ways = crowd.end > kPi / 2;
+    const bool both_ways = circle.end > kPi / 2;
     Common common{backing, smooth}, from_below{backing, smooth}, from_above{backing, smooth};
     double part = 0;
     for (int j = near.begin; j < near.end; ++j) {
         if (j == same.begin) j = same.end;
         if (j >= near.end) break;
-        const double radians = crowd.hue[j] - crowd.terms[i].hue, other = radians / crowd.equal;
+        const double radians = circle.hue[j] - circle.terms[i].hue, other = radians / circle.equal;
         double both = common.to(other);
         if (both_ways) both += from_below.to(other - turn) + from_above.to(other + turn);
-        const int rival = j % crowd.n;
-        const double strength = smaller(larger(crowd.support[rival] - both, 0.0), crowd.hold[rival]);
+        const int rival = j % circle.n;
+        const double strength = smaller(larger(circle.support[rival] - both, 0.0), circle.hold[rival]);
         const double unequal = 1 - shoulder(rules, magnitude(radians));
-        part = larger(part, unequal * cancelled(rules, strength, crowd.support[i] - both));
+        part = larger(part, unequal * cancelled(rules, strength, circle.support[i] - both));
     }
     return part;
 }
 
 }  // namespace
 
-void sum_of_crowd(const Rules &rules, const float *p, const int *there, int n, float *scratch,
+void sum_of_many(const Rules &rules, const float *p, const int *there, int n, float *scratch,
                   float *sum0, float *sum1) {
-    const Crowd crowd(rules, n, reinterpret_cast<double *>(scratch));
-    if (!sort_terms(p, there, crowd)) {
+    const HueCircle circle(rules, n, reinterpret_cast<double *>(scratch));
+    if (!sort_terms(p, there, circle)) {
         *sum0 = *sum1 = std::numeric_limits<float>::quiet_NaN();
         return;
     }
-    put_around_circle(crowd);
-    find_supports(rules, crowd);
-    find_holds(crowd);
-    for (int k = 0; k < n; ++k) crowd.strength[n + k] = smaller(crowd.support[k], crowd.hold[k]);
-    crowd.repeat(crowd.strength, 0);
+    put_around_circle(circle);
+    find_supports(rules, circle);
+    find_holds(circle);
+    for (int k = 0; k < n; ++k) circle.strength[n + k] = smaller(circle.support[k], circle.hold[k]);
+    circle.repeat(circle.strength, 0);
 
-    Sliding equal{crowd, crowd.equal}, sharing{crowd, smaller(2 * crowd.end, kPi)};
-    Backing backing(crowd);
+    Sliding equal{circle, circle.equal}, sharing{circle, smaller(2 * circle.end, kPi)};
+    Backing backing(circle);
     double total0 = 0, total1 = 0;
     for (int i = 0; i < n; ++i) {
-        const Term &term = crowd.terms[i];
+        const Term &term = circle.terms[i];
         const Window same = equal.to(term.hue), near = sharing.to(term.hue);
         double strongest = 0;
-        for (int j = near.end; j < near.begin + n; ++j) strongest = larger(strongest, crowd.strength[j]);
-        double part = cancelled(rules, strongest, crowd.support[i]);
+        for (int j = near.end; j < near.begin + n; ++j) strongest = larger(strongest, circle.strength[j]);
+        double part = cancelled(rules, strongest, circle.support[i]);
         if (near.end - near.begin > same.end - same.begin) {
-            backing.fill(rules, crowd, i);
-            part = larger(part, cancelled_near(rules, crowd, backing, i, near, same));
+            backing.fill(rules, circle, i);
+            part = larger(part, cancelled_near(rules, circle, backing, i, near, same));
         }
         total0 += (1 - part) * double(term.x);
         total1 += (1 - part) * double(term.y);

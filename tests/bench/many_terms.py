@@ -1,6 +1,6 @@
 """How long the order `simultaneous` takes for a pixel of so many terms, beside `balanced`; prints µs.
 
-    python tests/bench/crowds.py [TERMS...]
+    python tests/bench/many_terms.py [TERMS...]
 
 Hues: of four labels, anywhere, and within a band of 11°, in which every term meets every other.
 """
@@ -41,7 +41,7 @@ def layers(kind: str, n: int, pixels: int) -> np.ndarray:
 
 
 def seconds(rules: StackRules, stack: np.ndarray) -> float:
-    accumulator = kernel.start(rules, stack.shape[2], 1)
+    accumulator = kernel.ENGINE.start(rules, stack.shape[2], 1)
     strips = [Strip(layer) for layer in stack]
     begin = time.perf_counter()
     accumulator.add(rules.arrival, [strips[number] for number in rules.arrival])

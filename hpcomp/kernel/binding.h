@@ -1,4 +1,4 @@
-// What both doors check arrays with.
+// What both bindings check arrays with.
 
 #pragma once
 
@@ -19,7 +19,7 @@ inline bool is_half(nanobind::dlpack::dtype type) {
            type.lanes == 1;
 }
 
-// Adds the functions on packed bytes to the module.
-void bind_packing(nanobind::module_ &module);
+// Adds the functions on packed bytes, as a module within it: the engine needs none of them.
+void bind_packing(nanobind::module_ &kernel);
 
 }  // namespace hpcomp

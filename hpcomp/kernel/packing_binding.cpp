@@ -1,11 +1,11 @@
-// The door to the loops on packed bytes: sizes and offsets are checked here.
+// The binding of the loops on packed bytes: sizes and offsets are checked here.
 
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/vector.h>
 
 #include <vector>
 
-#include "door.h"
+#include "binding.h"
 #include "levels.h"
 
 namespace nb = nanobind;
@@ -116,13 +116,15 @@ void png_filter(Rows rows, int pixel_bytes, RowsOut out, const std::string &leve
 
 }  // namespace
 
-void bind_packing(nb::module_ &module) {
-    module.def("exr_unpack", &exr_unpack, "block"_a.noconvert(), "packed"_a, "row_units"_a,
+void bind_packing(nb::module_ &kernel) {
+    nb::module_ module = kernel.def_submodule("packing", "Samples to what codecs deflate, and back.");
+    module.def("exr_unpack", &exr_unpack, nb::kw_only(), "block"_a.noconvert(), "packed"_a, "row_units"_a,
                "channels"_a, "first_row"_a, "out"_a.noconvert(), "level"_a = "");
-    module.def("exr_pack", &exr_pack, "samples"_a.noconvert(), "out"_a.noconvert(), "level"_a = "");
-    module.def("png_unfilter", &png_unfilter, "filtered"_a.noconvert(), "pixel_bytes"_a,
+    module.def("exr_pack", &exr_pack, nb::kw_only(), "samples"_a.noconvert(), "out"_a.noconvert(),
+               "level"_a = "");
+    module.def("png_unfilter", &png_unfilter, nb::kw_only(), "filtered"_a.noconvert(), "pixel_bytes"_a,
                "above"_a.noconvert(), "out"_a.noconvert(), "level"_a = "");
-    module.def("png_filter", &png_filter, "rows"_a.noconvert(), "pixel_bytes"_a,
+    module.def("png_filter", &png_filter, nb::kw_only(), "rows"_a.noconvert(), "pixel_bytes"_a,
                "out"_a.noconvert(), "level"_a = "");
 }
 

@@ -1,0 +1,73 @@
+"""What an engine is: the contract that the fused kernel and the numpy reference both keep.
+
+`choice` says which of them composites, and is where mypy holds both against the contract.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+
+from ..blending.rules import StackRules
+from ..color.primaries import REC709, Primaries
+from ..color.quantization import Losses
+from ..color.samples import Samples, Strip
+
+if TYPE_CHECKING:  # only reports need them
+    from ..measures.findings import MeasuredStrip, StackFindings
+    from ..measures.labels import Provenance
+
+
+class Accumulator(Protocol):
+    """Takes the layers of one strip in `rules.arrival` order, and gives their composite.
+
+    `nonfinite`: how many pixels of each layer, by its number, are stored with NaN or Inf.
+    """
+
+    nonfinite: list[int]
+
+    def add(self, numbers: Sequence[int], strips: Sequence[Strip]) -> None:
+        """Layers by number; `nonfinite` counts their pixels with NaN or Inf."""
+
+    def result(self, kind: str, losses: Losses, gamut: Primaries = REC709) -> Samples:
+        """The composite (height, width, 4), as samples of a kind of `OUTPUT_TYPES`.
+
+        Codes are of that gamut, floats in the working primaries. To be asked for once.
+        """
+
+    def result_and_findings(
+        self, kind: str, losses: Losses, gamut: Primaries, strip: MeasuredStrip
+    ) -> tuple[Samples, StackFindings, Provenance | None]:
+        """`result`, and `Engine.findings` of the same strip, in one pass where the engine can.
+
+        `strip`: its layers are those that were added, all at once.
+        """
+
+
+class Engine(Protocol):
+    """Composites stacks strip by strip, and measures what that did to their hues.
+
+    `name`: what the environment and reports call it. `decodes_in_numpy`: whether strips are widened
+    to float RGBA on the way. `pairs_at_once`: pairs of terms of the order `simultaneous` that are
+    to be asked of it at a time, as it cannot be interrupted: they take a small part of a second.
+    """
+
+    name: str
+    decodes_in_numpy: bool
+    pairs_at_once: int
+
+    def start(
+        self, rules: StackRules, width: int, height: int, dtype: Any = np.float32
+    ) -> Accumulator:
+        """An empty accumulator for a strip of that size in pixels."""
+
+    def bytes_to_reduce(self, rules: StackRules, layers: int) -> int:
+        """Memory that a strip of so many layers takes beside its samples, whatever its size."""
+
+    def measures(self, rules: StackRules) -> bool:
+        """Whether it measures stacks of such rules; the reference measures all."""
+
+    def findings(self, strip: MeasuredStrip) -> tuple[StackFindings, Provenance | None]:
+        """The findings of a strip, and its provenance planes (height, width) where wanted."""
