@@ -178,12 +178,12 @@ def parse_share(text: str | float) -> float:
 def parse_hues(hues: str | Sequence[float]) -> tuple[float, ...]:
     """Hues in degrees from `0,120,240` or numbers; `SettingError` otherwise."""
     try:
-        found = tuple(float(h) for h in (hues.split(",") if isinstance(hues, str) else hues))
+        degrees = tuple(float(h) for h in (hues.split(",") if isinstance(hues, str) else hues))
     except ValueError:
-        found = ()
-    if not found or not all(map(math.isfinite, found)):
+        degrees = ()
+    if not degrees or not all(map(math.isfinite, degrees)):
         raise SettingError(f"hues '{hues}' are not numbers: write degrees such as 0,120,240")
-    return found
+    return degrees
 
 
 def _label(wanted: str | float, specs: Sequence[LayerSpec]) -> ExpectedHue:
@@ -592,9 +592,9 @@ class _Fit:
 
     def shows(self, picture: _Picture, p: Array) -> Mask:
         """Where the picture's hue is that of p (2, n)."""
-        found = self.base.holds(picture.p, p)
-        found[self.unmatched] = self.widened.holds(self.p, p[:, self.unmatched]) & self.sharp
-        return found
+        shown = self.base.holds(picture.p, p)
+        shown[self.unmatched] = self.widened.holds(self.p, p[:, self.unmatched]) & self.sharp
+        return shown
 
 
 def vector_of(hue: float, space: Space) -> Array:

@@ -336,19 +336,26 @@ class _Trace:
 
     def __post_init__(self) -> None:
         with np.errstate(all="ignore"):
-            found = contributors(self.rules, self.pixels)
-        if not found.known.all():
+            contributing = contributors(self.rules, self.pixels)
+        if not contributing.known.all():
             return
         parties = [
-            _Party((number,), luminance, p, None if found.rgb is None else found.rgb[number])
-            for number, (luminance, p) in enumerate(zip(found.luminance, found.p, strict=True))
+            _Party(
+                (number,),
+                luminance,
+                p,
+                None if contributing.rgb is None else contributing.rgb[number],
+            )
+            for number, (luminance, p) in enumerate(
+                zip(contributing.luminance, contributing.p, strict=True)
+            )
         ]
         # The orders reduce whatever can be added: here, parties instead of arrays.
-        terms: Any = parties[: found.n_layers]
+        terms: Any = parties[: contributing.n_layers]
         add: Any = self._meet
         add_all: Any = self._meet_all
         stack: Any = self.rules.adding_order.reduce(terms, add, add_all)
-        if found.n_layers < len(parties):
+        if contributing.n_layers < len(parties):
             self._meet(stack, replace(parties[-1], numbers=(None,)))
 
     @property
@@ -424,14 +431,14 @@ def _outcome(
     rgba = tuple(_composite(rules, strips, "float").tolist())
     srgb = tuple(_composite(rules, strips, "uint8").tolist())
     with np.errstate(all="ignore"):
-        found = contributors(rules, pixels)
-    if not found.known.all():
+        contributing = contributors(rules, pixels)
+    if not contributing.known.all():
         return Outcome(rgba, srgb, None, math.nan, "unmeasured", None, 0.0, 0.0)
-    p = found.reduced(rules)
-    support = Support.of(p, found, settings)
-    winner = int(support.winner(found, settings.half_step)[0])
+    p = contributing.reduced(rules)
+    support = Support.of(p, contributing, settings)
+    winner = int(support.winner(contributing, settings.half_step)[0])
     _, provenance = measured(rules, settings, [np.asarray(pixel) for pixel in pixels])
-    if not found.total()[0] > settings.half_step:
+    if not contributing.total()[0] > settings.half_step:
         kind = "colorless"
     elif not support.size[0] > settings.half_step:
         kind = "grey"
@@ -442,7 +449,7 @@ def _outcome(
     return Outcome(
         rgba=rgba,
         srgb=srgb,
-        hue=_hue(rules, found.luminance.sum(axis=0), p),
+        hue=_hue(rules, contributing.luminance.sum(axis=0), p),
         chroma=_size(p),
         kind=kind,
         survivor=winner if winner >= 0 else None,

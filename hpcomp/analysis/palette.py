@@ -189,10 +189,10 @@ class Palette:
         """
 
         def soon(pair: Pair) -> tuple[bool, float, float]:
-            found = pair.result
-            if found.turns_grey and found.least_at is not None:
-                return False, found.least_at, 0.0
-            return True, 1.0 if found.left is None else found.left, found.least_at or 0.0
+            profile = pair.result
+            if profile.turns_grey and profile.least_at is not None:
+                return False, profile.least_at, 0.0
+            return True, 1.0 if profile.left is None else profile.left, profile.least_at or 0.0
 
         both = [
             min((self.pair(a, b), self.pair(b, a)), key=soon)
@@ -214,12 +214,12 @@ class Palette:
     @property
     def distinct(self) -> tuple[Pair, ...]:
         """Those of `soonest`, each before the other order of the two unless that mirrors it."""
-        found = []
+        pairs = []
         for pair in self.soonest:
-            found.append(pair)
+            pairs.append(pair)
             if not self.mirrored(pair):
-                found.append(self.pair(pair.front, pair.back))
-        return tuple(found)
+                pairs.append(self.pair(pair.front, pair.back))
+        return tuple(pairs)
 
     def mixtures(self, blending: str) -> Iterator[tuple[Floats, Floats]]:
         """What any stack of the labels can give on the background: p (2, n), linear rgb (3, n).
@@ -333,12 +333,12 @@ def _rgb(color: Color, use: str) -> tuple[float, float, float]:
     """A colour as straight linear RGB. Errors: `SettingError`."""
     if isinstance(color, str):
         return css_color(color, use)
-    found = tuple(float(value) for value in color)
-    if len(found) != 3 or not all(0 <= value < math.inf for value in found):
+    rgb = tuple(float(value) for value in color)
+    if len(rgb) != 3 or not all(0 <= value < math.inf for value in rgb):
         raise SettingError(
             f"{color} is not a colour: give three numbers from 0 up, linear RGB, or a CSS colour"
         )
-    return found
+    return rgb
 
 
 def _named(color: Color) -> _Named:
@@ -418,7 +418,7 @@ class _Work:
         y_below, _ = self.stack.space.forward(below[:, None])
         color = self._colors()[number]
         has_hue = not np.isnan(self._hues(color[None])).any()
-        found = {}
+        blends = {}
         for blending in self.blendings:
             layer = self.settings.opacity * np.append(color, 1.0)
             rgba = composite([layer], background=tuple(below), **self._rules(blending))
@@ -428,13 +428,13 @@ class _Work:
             if has_hue:
                 near = _angle(p, self._p(color[None])) <= self.settings.foreign_tolerance
                 keeps = bool(near[0] and not np.isnan(self._hues(rgb[None])).any())
-            found[blending] = OnBackground(
+            blends[blending] = OnBackground(
                 rgb=tuple(rgb.tolist()),
                 difference=float(difference(rgb, below)),
                 contrast=float(contrast(luminance[0], y_below[0])),
                 keeps_hue=keeps,
             )
-        return found
+        return blends
 
     def _colors(self) -> Floats:
         return np.array([rgb for _, rgb in self.named])
@@ -496,11 +496,11 @@ class _Work:
         least_rgb = self._blended(both, best[:, None], blending)[:, 0]
         turns = np.isnan(self._hues(least_rgb))
         has_hue = ~np.isnan(self._hues(self._colors()))
-        found = []
+        profiles = []
         for k, (back, front) in enumerate(both.tolist()):
             lost = least[k] < _ALL
             brings = bool(has_hue[back] or has_hue[front])
-            found.append(
+            profiles.append(
                 Profile(
                     rgb=rgb[k],
                     hues=hues[k],
@@ -511,7 +511,7 @@ class _Work:
                     turns_grey=bool(has_hue[back] and has_hue[front] and lost and turns[k]),
                 )
             )
-        return found
+        return profiles
 
 
 def _angle(p1: Floats, p2: Floats) -> Floats:
@@ -552,11 +552,11 @@ def _findings(
     for pair in pairs:
         profiles = dict(zip(both, (pair.traditional, pair.result), strict=True))
         soon = {
-            name: found.least_at
-            for name, found in profiles.items()
-            if found.turns_grey
-            and found.least_at is not None
-            and found.least_at < settings.grey_opacity
+            name: profile.least_at
+            for name, profile in profiles.items()
+            if profile.turns_grey
+            and profile.least_at is not None
+            and profile.least_at < settings.grey_opacity
         }
         if soon:
             yield Finding(

@@ -46,26 +46,26 @@ def term(space: Space, opacity: float, rgba: Array) -> tuple[Array, Array, Array
 
 def weighted(rules: StackRules, space: Space, layers: Sequence[Array]) -> Terms:
     """The terms of `layers`, each (pixels, 4), linear, premultiplied, alpha in [0, 1]."""
-    found = [
+    unweighted = [
         term(space, opacity, rgba) for opacity, rgba in zip(rules.opacities, layers, strict=True)
     ]
-    alpha = found[0][2]
+    alpha = unweighted[0][2]
     factors: list[tuple[Any, Any]] = [(1.0, 0.0)]
-    for operator, (_, _, alpha_layer, _) in zip(rules.operators[1:], found[1:], strict=True):
+    for operator, (_, _, alpha_layer, _) in zip(rules.operators[1:], unweighted[1:], strict=True):
         assert operator is not None
         factors.append(operator.factors(alpha_layer, alpha))
         alpha = operator.alpha(alpha_layer, alpha)
     # w_i = F_A,i · Π F_B of the layers above: gathered from the top.
     above: Any = np.ones_like(alpha)
-    weights = np.empty((len(found), len(alpha)), alpha.dtype)
+    weights = np.empty((len(unweighted), len(alpha)), alpha.dtype)
     luminance = np.empty_like(weights)
-    p = np.empty((len(found), 2, len(alpha)), alpha.dtype)
-    total = np.zeros_like(found[0][3])
-    for number in reversed(range(len(found))):
+    p = np.empty((len(unweighted), 2, len(alpha)), alpha.dtype)
+    total = np.zeros_like(unweighted[0][3])
+    for number in reversed(range(len(unweighted))):
         f_a, f_b = factors[number]
         weights[number] = f_a * above
         above = f_b * above
-        luminance[number] = weights[number] * found[number][0]
-        p[number] = weights[number] * found[number][1]
-        total += weights[number] * found[number][3]
+        luminance[number] = weights[number] * unweighted[number][0]
+        p[number] = weights[number] * unweighted[number][1]
+        total += weights[number] * unweighted[number][3]
     return Terms(weights, luminance, p, total, alpha)

@@ -172,13 +172,13 @@ def command(
     specs = signals.load("hpcomp.analysis.hues").images_to_measure(layers, target)
     writing = {name: options.pop(name) for name in WRITING}
     with opened_report(target, [spec.path for spec in specs], **writing) as place:
-        found = palettes.palette(colors, layers=layers, **options)
-        content = render(found, look)
+        blended = palettes.palette(colors, layers=layers, **options)
+        content = render(blended, look)
         if target == STDOUT:
             print_bytes(content)
         else:
             write_bytes(place, content, target)
-    if options["strict"] and found.findings:
-        for finding in found.findings:
-            say(f"hpcomp: palette: {finding.kind}: {data.sentence(found, finding)}")
+    if options["strict"] and blended.findings:
+        for finding in blended.findings:
+            say(f"hpcomp: palette: {finding.kind}: {data.sentence(blended, finding)}")
         ctx.exit(int(ExitCode.CHECK))

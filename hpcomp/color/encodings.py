@@ -73,7 +73,7 @@ def interop_id(primaries: Primaries) -> str | None:
 
 def color_space(name: str) -> ColorEncoding:
     """The encoding of that name; `SettingError` lists the valid ones."""
-    found = COLOR_SPACES.get(name) or COLOR_INTEROP_IDS.get(name)
-    if found is None:
+    encoding = COLOR_SPACES.get(name) or COLOR_INTEROP_IDS.get(name)
+    if encoding is None:
         raise unknown_name("colorspace", name, COLOR_SPACES)
-    return found
+    return encoding

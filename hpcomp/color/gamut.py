@@ -29,10 +29,10 @@ def bounds_of(space: Space, rgb: Array, alpha: Array | float = 0.0) -> Array:
     """
     if space.linear:
         return np.empty((0, *rgb.shape[1:]), rgb.dtype)
-    found = np.empty((2, *rgb.shape[1:]), rgb.dtype)
-    np.minimum(rgb.min(axis=0), 0, out=found[0])
-    np.maximum(rgb.max(axis=0), alpha, out=found[1])
-    return found
+    bounds = np.empty((2, *rgb.shape[1:]), rgb.dtype)
+    np.minimum(rgb.min(axis=0), 0, out=bounds[0])
+    np.maximum(rgb.max(axis=0), alpha, out=bounds[1])
+    return bounds
 
 
 def colors_within(space: Space, luminance: Array, p: Array, bounds: Array) -> Array:

@@ -45,8 +45,8 @@ class HueAxis:
 
     def degrees(self, rgb: Array) -> Array:
         """The hue of rgb (3, …), linear and not grey: (…), in [0, 360)."""
-        found = np.mod(self.sextants(rgb) * SEXTANT_DEG, 360.0)
-        return np.where(found == 360, 0, found)  # what a hair below zero is rounded to
+        hue = np.mod(self.sextants(rgb) * SEXTANT_DEG, 360.0)
+        return np.where(hue == 360, 0, hue)  # what a hair below zero is rounded to
 
     def landmarks(self) -> dict[str, float]:
         """Where the named colours stand, in degrees."""
@@ -109,8 +109,8 @@ def angle_axis(title: str, p_of: Callable[[Array], Array]) -> HueAxis:
         below, above = around[step - 1], around[step]
         for _ in range(_HALVINGS):
             middle = (below + above) / 2
-            found = np.degrees(np.arctan2(*p_of(_hexagon_color(middle))[::-1]))
-            before = np.mod(found - wanted + 180, 360) < 180
+            angle = np.degrees(np.arctan2(*p_of(_hexagon_color(middle))[::-1]))
+            before = np.mod(angle - wanted + 180, 360) < 180
             below, above = np.where(before, middle, below), np.where(before, above, middle)
         return _hexagon_color((below + above) / 2)
 

@@ -101,14 +101,18 @@ def primaries_from_xy(xy: Any) -> Primaries:
 
     `xy`: red, green, blue, white, x before y. Errors: `ValueError` where they span no gamut.
     """
-    found = np.asarray(xy, float).reshape(4, 2)
+    chromaticities = np.asarray(xy, float).reshape(4, 2)
     for known in PRIMARIES.values():
-        if np.abs(found - known.xy).max() <= SAME_CHROMATICITY:
+        if np.abs(chromaticities - known.xy).max() <= SAME_CHROMATICITY:
             return known
-    corners = np.concatenate([found[:3], np.ones((3, 1))], axis=1)
-    if not np.isfinite(found).all() or abs(np.linalg.det(corners)) < 1e-6 or found[3, 1] <= 0:
+    corners = np.concatenate([chromaticities[:3], np.ones((3, 1))], axis=1)
+    if (
+        not np.isfinite(chromaticities).all()
+        or abs(np.linalg.det(corners)) < 1e-6
+        or chromaticities[3, 1] <= 0
+    ):
         raise ValueError("chromaticities that span no gamut")
-    red, green, blue, white = ((float(x), float(y)) for x, y in found)
+    red, green, blue, white = ((float(x), float(y)) for x, y in chromaticities)
     return Primaries("custom", red, green, blue, white)
 
 

@@ -112,8 +112,8 @@ def _tinted(samples: Samples, decoding: Decoding, tint: tuple[float, float, floa
     rgba = np.empty((*samples.shape[:2], 4), np.float32)
     alpha = rgba[..., 3]
     with np.errstate(invalid="ignore", over="ignore"):
-        found = _linear(value, decoding) if by_light else _as_float(value)
-        np.clip(found[..., 0], 0, 1, out=alpha)
+        coverage = _linear(value, decoding) if by_light else _as_float(value)
+        np.clip(coverage[..., 0], 0, 1, out=alpha)
         if samples.shape[2] == 2 and straight:
             alpha *= np.clip(_as_float(samples[..., 1]), 0, 1)
         color = converted(np.array(tint), REC709, decoding.working)

@@ -138,12 +138,12 @@ def xyz(rgb_to_xyz: Matrix = REC709_TO_XYZ) -> Space:
     blue_green = np.array([-red_z, red_x]) / determinant
     green = -(weights[0] * red_green + weights[2] * blue_green)
     columns = (green + red_green, green, green + blue_green)
-    found = PlaneCoefficients(
+    coefficients = PlaneCoefficients(
         weights=(weights[0], weights[2]),
         to_p=((red_x, blue_x), (red_z, blue_z)),
         from_p=tuple((float(column[0]), float(column[1])) for column in columns),
     )
-    return _linear("xyz", rgb_to_xyz, found)
+    return _linear("xyz", rgb_to_xyz, coefficients)
 
 
 def hsl(rgb_to_xyz: Matrix = REC709_TO_XYZ) -> Space:
@@ -152,7 +152,7 @@ def hsl(rgb_to_xyz: Matrix = REC709_TO_XYZ) -> Space:
     Smith: Color Gamut Transform Pairs, SIGGRAPH 1978, taken of the linear colour.
     """
     plane = linear_rgb(rgb_to_xyz)
-    found = _plane(_weights(rgb_to_xyz))
+    coefficients = _plane(_weights(rgb_to_xyz))
 
     def forward(rgb: Array) -> tuple[Array, Array]:
         luminance, p = plane.forward(rgb)
@@ -163,23 +163,23 @@ def hsl(rgb_to_xyz: Matrix = REC709_TO_XYZ) -> Space:
         spread, _ = spread_and_size(difference)
         return luminance + difference * ratio(np.hypot(p[0], p[1]), spread)
 
-    return Space("hsl", rgb_to_xyz, forward, inverse, HslCoefficients(found))
+    return Space("hsl", rgb_to_xyz, forward, inverse, HslCoefficients(coefficients))
 
 
 def oklab(rgb_to_xyz: Matrix = REC709_TO_XYZ) -> Space:
     """Oklab: p = Y·(a, b)/L. Ottosson, A perceptual color space for image processing, 2020."""
-    found = oklab_coefficients(rgb_to_xyz)
-    forward, inverse = partial(oklab_forward, found), partial(oklab_inverse, found)
+    coefficients = oklab_coefficients(rgb_to_xyz)
+    forward, inverse = partial(oklab_forward, coefficients), partial(oklab_inverse, coefficients)
     axis = angle_axis("Oklab hue", lambda rgb: forward(rgb)[1])
-    return Space("oklab", rgb_to_xyz, forward, inverse, found, axis, gamut_turn=1.5)
+    return Space("oklab", rgb_to_xyz, forward, inverse, coefficients, axis, gamut_turn=1.5)
 
 
 def cielab(rgb_to_xyz: Matrix = REC709_TO_XYZ) -> Space:
     """CIELAB: p = Y·(a*, b*)/L* of the colour scaled to Y = 1. CIE 15:2018, 8.2.1."""
-    found = cielab_coefficients(rgb_to_xyz)
-    forward, inverse = partial(cielab_forward, found), partial(cielab_inverse, found)
+    coefficients = cielab_coefficients(rgb_to_xyz)
+    forward, inverse = partial(cielab_forward, coefficients), partial(cielab_inverse, coefficients)
     axis = angle_axis("CIELAB hue", lambda rgb: forward(rgb)[1])
-    return Space("cielab", rgb_to_xyz, forward, inverse, found, axis, gamut_turn=3.5)
+    return Space("cielab", rgb_to_xyz, forward, inverse, coefficients, axis, gamut_turn=3.5)
 
 
 def _weights(rgb_to_xyz: Matrix) -> tuple[float, float, float]:
@@ -187,29 +187,29 @@ def _weights(rgb_to_xyz: Matrix) -> tuple[float, float, float]:
     return float(red), float(green), float(blue)
 
 
-def _linear(name: str, rgb_to_xyz: Matrix, found: PlaneCoefficients) -> Space:
+def _linear(name: str, rgb_to_xyz: Matrix, coefficients: PlaneCoefficients) -> Space:
     """The space of these coefficients."""
 
     def forward(rgb: Array) -> tuple[Array, Array]:
         red, green, blue = rgb
         red_green, blue_green = red - green, blue - green
-        w_red, w_blue = found.weights
+        w_red, w_blue = coefficients.weights
         luminance = green + w_red * red_green + w_blue * blue_green
         p = np.empty((2, *rgb.shape[1:]), rgb.dtype)
-        for axis, (of_red, of_blue) in enumerate(found.to_p):
+        for axis, (of_red, of_blue) in enumerate(coefficients.to_p):
             np.multiply(red_green, of_red, out=p[axis])
             p[axis] += blue_green * of_blue
         return luminance, p
 
     def inverse(luminance: Array, p: Array) -> Array:
         rgb = np.empty((3, *p.shape[1:]), p.dtype)
-        for channel, (of_p0, of_p1) in enumerate(found.from_p):
+        for channel, (of_p0, of_p1) in enumerate(coefficients.from_p):
             np.multiply(p[0], of_p0, out=rgb[channel])
             rgb[channel] += p[1] * of_p1
             rgb[channel] += luminance
         return rgb
 
-    return Space(name, rgb_to_xyz, forward, inverse, found)
+    return Space(name, rgb_to_xyz, forward, inverse, coefficients)
 
 
 #: The space of the paper.

@@ -183,32 +183,32 @@ def oklab_coefficients(rgb_to_xyz: Matrix) -> OklabCoefficients:
     return replace(unbounded, largest=largest)
 
 
-def oklab_forward(found: OklabCoefficients, rgb: Array) -> tuple[Array, Array]:
+def oklab_forward(coefficients: OklabCoefficients, rgb: Array) -> tuple[Array, Array]:
     """rgb (3, …) → Y (…), p (2, …)."""
-    luminance, red_green, blue_green = _luminance(rgb, found.weights)
-    cones = _sums(rgb[1], red_green, blue_green, found.to_lms)
+    luminance, red_green, blue_green = _luminance(rgb, coefficients.weights)
+    cones = _sums(rgb[1], red_green, blue_green, coefficients.to_lms)
     long, middle, short = (np.cbrt(cone) for cone in cones)
     long, short = long - middle, short - middle
-    (lightness,) = _sums(middle, long, short, found.to_lab[:1])
-    p = np.stack(_sums(0, long, short, found.to_lab[1:]))
+    (lightness,) = _sums(middle, long, short, coefficients.to_lab[:1])
+    p = np.stack(_sums(0, long, short, coefficients.to_lab[1:]))
     # As L vanishes, q grows to its bound and stays there: the direction is (a, b) throughout.
-    whole = np.maximum(lightness, length(p) / found.largest)
+    whole = np.maximum(lightness, length(p) / coefficients.largest)
     there = (luminance > 0) & (whole > 0)
     p *= np.divide(luminance, whole, out=np.zeros_like(luminance), where=there)
     return luminance, p
 
 
-def _oklab_direction(found: OklabCoefficients, q: Array) -> Array:
+def _oklab_direction(coefficients: OklabCoefficients, q: Array) -> Array:
     """A colour (3, …) of the chromaticity q (2, …): that of L = 1."""
-    roots = _sums(1, q[0], q[1], found.to_roots)
+    roots = _sums(1, q[0], q[1], coefficients.to_roots)
     long, middle, short = (root * root * root for root in roots)
-    return np.stack(_sums(middle, long - middle, short - middle, found.from_lms))
+    return np.stack(_sums(middle, long - middle, short - middle, coefficients.from_lms))
 
 
-def oklab_inverse(found: OklabCoefficients, luminance: Array, p: Array) -> Array:
+def oklab_inverse(coefficients: OklabCoefficients, luminance: Array, p: Array) -> Array:
     """Y (…), p (2, …) → rgb (3, …)."""
-    rgb = _oklab_direction(found, _chromaticity(luminance, p, found.largest))
-    rgb *= luminance / _luminance(rgb, found.weights)[0]
+    rgb = _oklab_direction(coefficients, _chromaticity(luminance, p, coefficients.largest))
+    rgb *= luminance / _luminance(rgb, coefficients.weights)[0]
     return rgb
 
 
@@ -228,9 +228,9 @@ def cielab_coefficients(rgb_to_xyz: Matrix) -> CielabCoefficients:
     return replace(unbounded, largest=largest)
 
 
-def cielab_forward(found: CielabCoefficients, rgb: Array) -> tuple[Array, Array]:
+def cielab_forward(coefficients: CielabCoefficients, rgb: Array) -> tuple[Array, Array]:
     """rgb (3, …) → Y (…), p (2, …)."""
-    luminance, red_green, blue_green = _luminance(rgb, found.weights)
+    luminance, red_green, blue_green = _luminance(rgb, coefficients.weights)
     there = luminance > 0
 
     def root(of_white: Array) -> Array:
@@ -238,19 +238,19 @@ def cielab_forward(found: CielabCoefficients, rgb: Array) -> tuple[Array, Array]
         share = np.clip(share, -FARTHEST_XZ, FARTHEST_XZ)
         return np.where(share > LAB_ROOT**3, np.cbrt(share), LAB_SLOPE * share + LAB_START)
 
-    x, z = (root(share) for share in _sums(rgb[1], red_green, blue_green, found.to_xz))
+    x, z = (root(share) for share in _sums(rgb[1], red_green, blue_green, coefficients.to_xz))
     # a/L = 500 (f(X) − f(Y)) / 100 and b/L = 200 (f(Y) − f(Z)) / 100, and f(Y) is 1.
     p = np.stack([5 * (x - 1), 2 * (1 - z)])
-    p *= np.where(there, luminance, 0) / np.maximum(1, length(p) / found.largest)
+    p *= np.where(there, luminance, 0) / np.maximum(1, length(p) / coefficients.largest)
     return luminance, p
 
 
-def cielab_inverse(found: CielabCoefficients, luminance: Array, p: Array) -> Array:
+def cielab_inverse(coefficients: CielabCoefficients, luminance: Array, p: Array) -> Array:
     """Y (…), p (2, …) → rgb (3, …)."""
-    q = _chromaticity(luminance, p, found.largest)
+    q = _chromaticity(luminance, p, coefficients.largest)
 
     def cubed(root: Array) -> Array:
         return np.where(root > LAB_ROOT, root * root * root, (root - LAB_START) / LAB_SLOPE)
 
     x, z = cubed(1 + q[0] / 5), cubed(1 - q[1] / 2)
-    return np.stack(_sums(1, x - 1, z - 1, found.from_xz)) * luminance
+    return np.stack(_sums(1, x - 1, z - 1, coefficients.from_xz)) * luminance

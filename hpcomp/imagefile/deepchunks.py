@@ -229,13 +229,13 @@ class DeepChunks:
             if not begin <= row < end:
                 continue
             at = (stop - total) * layout.sample_bytes
-            found = []
+            pieces = []
             for name in self._names:
                 kind, offset = layout.channels[name]
                 piece = np.frombuffer(data, _DTYPES[kind], total, at + total * offset)
                 # A piece keeps its whole chunk in memory, of which it may be a small part.
-                found.append(piece if whole else piece.copy())
-            yield row, found
+                pieces.append(piece if whole else piece.copy())
+            yield row, pieces
 
     def _chunk(self, number: int) -> DeepChunk:
         layout, at = self.layout, int(self.layout.offsets[number])

@@ -282,11 +282,11 @@ class ExrScanlineWriter(SegmentWriter[bytes]):
 
 def _color_attributes(primaries: Primaries) -> list[tuple[bytes, bytes, bytes]]:
     chromaticities = struct.pack("<8f", *primaries.xy.ravel())
-    found = [(b"chromaticities", b"chromaticities", chromaticities)]
+    attributes = [(b"chromaticities", b"chromaticities", chromaticities)]
     name = interop_id(primaries)
     if name is not None:
-        found.append((b"colorInteropID", b"string", name.encode()))
-    return found
+        attributes.append((b"colorInteropID", b"string", name.encode()))
+    return attributes
 
 
 def _header(form: ExrForm, compression: int) -> bytes:

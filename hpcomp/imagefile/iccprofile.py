@@ -186,21 +186,21 @@ def _primaries_of(colorants: Array, from_d50: Array) -> Primaries:
 
 def _transfer(tags: list[bytes]) -> Transfer:
     """The curve of all channels, or one of each."""
-    found = {tag: _curve(tag) for tag in tags}
-    red, green, blue = (found[tag] for tag in tags)
+    curves = {tag: _curve(tag) for tag in tags}
+    red, green, blue = (curves[tag] for tag in tags)
     return red if red == green == blue else of_channels(red, green, blue)
 
 
 def _curve(tag: bytes) -> Transfer:
     """One curve; `ValueError` where it is none of light. ICC.1:2022, 10.6 and 10.18."""
-    found = _stored_curve(tag)
+    curve = _stored_curve(tag)
     with np.errstate(all="ignore"):
-        samples = found.decode(_CURVE_SAMPLES)
+        samples = curve.decode(_CURVE_SAMPLES)
     steps = np.diff(samples)
     if not (np.isfinite(samples).all() and steps.sum() > 0 and steps.min() >= -_CURVE_TOLERANCE):
         raise ValueError("not of rising curves")
     near_srgb = np.abs(samples - SRGB.decode(_CURVE_SAMPLES)).max() <= _CURVE_TOLERANCE
-    return SRGB if near_srgb else found
+    return SRGB if near_srgb else curve
 
 
 def _stored_curve(tag: bytes) -> Transfer:

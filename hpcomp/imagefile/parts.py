@@ -106,25 +106,25 @@ def color_groups(channels: Sequence[Channel]) -> tuple[ColorGroup, ...]:
         if known:
             layers.setdefault(layer, {}).setdefault(known, channel)
     groups = []
-    for layer, found in layers.items():
-        if all(name in found for name in "RGB"):
-            color = tuple(found[name] for name in "RGB")
-        elif "Y" in found and not found.keys() & {"X", "RY", "BY"}:
-            color = (found["Y"],)
+    for layer, components in layers.items():
+        if all(name in components for name in "RGB"):
+            color = tuple(components[name] for name in "RGB")
+        elif "Y" in components and not components.keys() & {"X", "RY", "BY"}:
+            color = (components["Y"],)
         else:
             continue
-        groups.append(ColorGroup(layer, color, found.get("A")))
+        groups.append(ColorGroup(layer, color, components.get("A")))
     return tuple(groups)
 
 
 def _masks(part: Part, layer: str | None) -> list[ColorGroup]:
     """Channels that make no colour, but may be a mask: the one named, an alpha, or the only one."""
     if layer is not None:
-        found = [c for c in part.channels if c.name == layer]
-        found = found or [c for c in part.channels if _is_alpha(c, f"{layer}.")]
+        masks = [c for c in part.channels if c.name == layer]
+        masks = masks or [c for c in part.channels if _is_alpha(c, f"{layer}.")]
     else:
-        found = [c for c in part.channels if _is_alpha(c, "")] or list(part.channels)
-    return [ColorGroup(layer or "", (found[0],), None)] if len(found) == 1 else []
+        masks = [c for c in part.channels if _is_alpha(c, "")] or list(part.channels)
+    return [ColorGroup(layer or "", (masks[0],), None)] if len(masks) == 1 else []
 
 
 def _is_alpha(channel: Channel, prefix: str) -> bool:
@@ -220,11 +220,11 @@ def deep_alpha(part: Part, group: ColorGroup, label: str) -> Channel:
                 f"{label} has an alpha for each colour, {', '.join(several)}, which would give "
                 "every depth three weights: replace them by one A first"
             )
-        found = channels.get(f"{prefix}A")
+        alpha = channels.get(f"{prefix}A")
         if group.alpha is not None and layer == group.layer:
-            found = group.alpha
-        if found is not None:
-            return found
+            alpha = group.alpha
+        if alpha is not None:
+            return alpha
         if not layer:
             there_is = ", ".join(channels)
             raise InputError(

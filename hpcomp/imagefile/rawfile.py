@@ -15,8 +15,8 @@ def identity_of(path: str) -> Identity:
     return _identity(os.stat(path))
 
 
-def _identity(found: os.stat_result) -> Identity:
-    return found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns
+def _identity(status: os.stat_result) -> Identity:
+    return status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns
 
 
 class RawFile:

@@ -222,9 +222,9 @@ class Cluster:
     def _result(self, future: Any) -> Result:
         """What became of a job, also where the cluster did not let it end."""
         if future is not None and future.status == "finished":
-            found: Result = future.result()
+            result: Result = future.result()
             future.release()
-            return found
+            return result
         if future is None or future.status != "error":
             return failure(f"{self._address}: the scheduler is gone", ExitCode.OUTPUT)
         reason = future.exception()

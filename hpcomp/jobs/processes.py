@@ -104,8 +104,8 @@ class JobProcess:
         if not self._received.endswith(b"\n"):
             return None
         line, self._received = self._received, b""
-        found: Result = json.loads(line)
-        return found
+        result: Result = json.loads(line)
+        return result
 
     def death(self, outputs: Sequence[str]) -> Result:
         """What became of the job of a process that died; what it left beside `outputs` goes."""

@@ -105,17 +105,17 @@ def parse_layer(text: str) -> LayerSpec:
         return LayerSpec(text)
     if not path:
         raise SettingError(f"'{text}' names no file before its ::")
-    found: dict[str, Any] = {}
+    values: dict[str, Any] = {}
     for setting in filter(None, settings.split(",")):
         key, equals, value = setting.partition("=")
         if not equals or not value:
             raise SettingError(f"'{setting}' in '{text}' is not key=value")
         if key not in LAYER_KEYS:
             raise unknown_name("layer key", key, LAYER_KEYS)
-        if key in found:
+        if key in values:
             raise SettingError(f"key '{key}' stands twice in '{text}'")
-        found[key] = LAYER_KEYS[key](value)
-    return LayerSpec(path, **found)
+        values[key] = LAYER_KEYS[key](value)
+    return LayerSpec(path, **values)
 
 
 def check_stdin(specs: Sequence[LayerSpec], what: str) -> None:

@@ -132,12 +132,12 @@ def _placed(
     specs: Sequence[LayerSpec], readers: Sequence[LayerReader], canvas: str | Window
 ) -> tuple[Window, list[PlacedLayer]]:
     """The canvas, and the layers on it."""
-    found = lay_out(
+    layout = lay_out(
         [
             LayerWindows(r.label, r.part.display_window, r.window, spec.placement)
             for spec, r in zip(specs, readers, strict=True)
         ],
         canvas,
     )
-    layers = [PlacedLayer(r, *offset) for r, offset in zip(readers, found.offsets, strict=True)]
-    return found.window, layers
+    layers = [PlacedLayer(r, *offset) for r, offset in zip(readers, layout.offsets, strict=True)]
+    return layout.window, layers

@@ -215,8 +215,8 @@ class HueHistogram:
         1% of the chromatic pixels, and if its bin has three times as many as is usual, the median,
         on either side up to 6° away, where no higher peak has claimed them.
         """
-        found = [self._peak(center, claim) for center, claim in self._claims]
-        return tuple(sorted(found, key=lambda peak: (-peak.count, peak.hue)))
+        peaks = [self._peak(center, claim) for center, claim in self._claims]
+        return tuple(sorted(peaks, key=lambda peak: (-peak.count, peak.hue)))
 
     @cached_property
     def concentration(self) -> Concentration:
@@ -239,7 +239,7 @@ class HueHistogram:
         count = self.count.tolist()
         total = sum(count)
         free = [True] * self.bins
-        found = []
+        claims = []
         for center in sorted(range(self.bins), key=lambda index: (-count[index], index)):
             near = [(center + offset) % self.bins for offset in range(-radius, radius + 1)]
             if not count[center] or not free[center]:
@@ -254,10 +254,10 @@ class HueHistogram:
             claim = [index for index in near if free[index]]
             size = sum(count[index] for index in claim)
             if size >= SMALLEST_PEAK * total and count[center] >= PEAK_CONTRAST * usual:
-                found.append((center, claim))
+                claims.append((center, claim))
                 for index in claim:
                     free[index] = False
-        return found
+        return claims
 
     @property
     def _peak_radius(self) -> int:

@@ -92,13 +92,13 @@ def measure_settings(
 
 def check_energy_weights(weights: Sequence[float]) -> tuple[float, float, float]:
     """Weights of red, green and blue as floats; `SettingError` unless 3, finite and ≥ 0."""
-    found = tuple(float(weight) for weight in weights)
-    if len(found) != 3 or not all(0 <= weight < math.inf for weight in found):
+    checked = tuple(float(weight) for weight in weights)
+    if len(checked) != 3 or not all(0 <= weight < math.inf for weight in checked):
         raise SettingError(
-            f"energy weights {','.join(f'{weight:g}' for weight in found)} are not three numbers "
+            f"energy weights {','.join(f'{weight:g}' for weight in checked)} are not three numbers "
             "from 0 up: give one for red, green and blue"
         )
-    return found
+    return checked
 
 
 # --- sums -----------------------------------------------------------------------------------------
@@ -276,8 +276,8 @@ def measured(
         block = slice(begin, min(begin + BLOCK_PIXELS, n_pixels))
         with np.errstate(all="ignore"):  # what is not finite is left out below
             pixels = contributors(rules, [layer[block] for layer in layers])
-        found, winners = _measured_block(rules, settings, pixels)
-        total += found
+        measures, winners = _measured_block(rules, settings, pixels)
+        total += measures
         where = np.arange(block.start, block.stop)[pixels.known]
         for name, values in vars(winners).items():
             getattr(provenance, name)[where] = values
@@ -482,7 +482,7 @@ def _result_measures(
             )
         )
     red, green, blue = (in_units(np.maximum(channel, 0)) for channel in rgb)
-    found = ResultMeasures(
+    measures = ResultMeasures(
         tuple(rows[: pixels.n_layers]),
         rows[-1] if len(rows) > pixels.n_layers else ContributorMeasures(),
         chromatic=count(chromatic),
@@ -491,7 +491,7 @@ def _result_measures(
         foreign_chroma=in_units(support.size[foreign]),
         light=(red, green, blue),
     )
-    return found, chromatic
+    return measures, chromatic
 
 
 def _provenance(settings: MeasureSettings, pixels: Contributors, support: Support) -> Provenance:

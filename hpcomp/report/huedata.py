@@ -55,13 +55,13 @@ def as_data(entries: Sequence[Entry]) -> dict[str, Any]:
         "bins": first.bins,
         "achromatic": first.achromatic,
         "peak_radius": PEAK_RADIUS_DEG,
-        "images": [{"name": label, **histogram_data(found)} for label, found in entries],
+        "images": [{"name": label, **histogram_data(histogram)} for label, histogram in entries],
     }
 
 
 def histogram_data(histogram: HueHistogram) -> dict[str, Any]:
     """One histogram, as in `images` of the document."""
-    found = histogram.concentration
+    concentration = histogram.concentration
     return {
         "pixels": {
             "all": histogram.pixels,
@@ -82,10 +82,10 @@ def histogram_data(histogram: HueHistogram) -> dict[str, Any]:
             for peak in histogram.peaks
         ],
         "concentration": {
-            "share": _rounded(found.share),
-            "chroma_share": _rounded(found.chroma_share),
-            "entropy": _rounded(found.entropy),
-            "relative_entropy": _rounded(found.relative_entropy),
+            "share": _rounded(concentration.share),
+            "chroma_share": _rounded(concentration.chroma_share),
+            "entropy": _rounded(concentration.entropy),
+            "relative_entropy": _rounded(concentration.relative_entropy),
             "occupied": histogram.occupied,
         },
         "histogram": {

@@ -84,18 +84,18 @@ def _stack_saved(report: StackReport, format: str) -> bytes:
 
     Of more layers than a figure has room for, it shows the lower ones and says so.
     """
-    found = report.findings.measures
+    measures = report.findings.measures
     notes = [
         f"hue survived in {percent(layer.survived_share)} of {layer.pixels:,} px, "
         f"lost to grey: {percent(layer.lost)} of chroma"
         if layer.pixels
         else "contributes no hue"
-        for layer in found.result.layers
+        for layer in measures.result.layers
     ] + [
         f"foreign hue: {percent(result.foreign_share)} of pixels, "
         f"{percent(result.foreign_chroma_share)} of chroma; "
         f"lost to grey: {percent(result.lost)} of chroma"
-        for result in (found.result, found.traditional)
+        for result in (measures.result, measures.traditional)
     ]
     entries = report.entries
     left_out = len(entries) - MOST_IMAGES
@@ -138,7 +138,7 @@ class _Sheet(Sheet):
         self.axis, self.look, self.remark = axis, look, remark
         self.scale = SCALES[look.scale]
         self.bins = entries[0][1].bins
-        shares = [found.shares(look.weight) for _, found in entries]
+        shares = [histogram.shares(look.weight) for _, histogram in entries]
         self.top = max(float(share.max()) for share in shares) * 1.04 or 1.0
         self.start = axis_start(axis)
 
@@ -160,16 +160,16 @@ class _Sheet(Sheet):
         above = _ABOVE + (_NOTE if notes else 0)
         cell_height = above + self.plot_height + below
         self._open(columns * cell_width, rows * cell_height + _FOOT)
-        for number, (label, found) in enumerate(entries):
+        for number, (label, histogram) in enumerate(entries):
             row, column = divmod(number, columns)
             left = column * cell_width
             bottom = self.height - row * cell_height - above - self.plot_height
             note = notes[number] if notes else ""
-            self._heading(label, found, left, bottom + self.plot_height, cell_width, note)
+            self._heading(label, histogram, left, bottom + self.plot_height, cell_width, note)
             if self.straight:
-                self._linear(found, left + _LEFT, bottom)
+                self._linear(histogram, left + _LEFT, bottom)
             if self.round:
-                self._polar(found, left + self._polar_left, bottom - polar_below)
+                self._polar(histogram, left + self._polar_left, bottom - polar_below)
         self._text(self.width / 2, 0.1, self._caption(), size=SMALL, horizontalalignment="center")
 
     @property
@@ -188,7 +188,7 @@ class _Sheet(Sheet):
     def _heading(
         self,
         label: str,
-        found: HueHistogram,
+        histogram: HueHistogram,
         left: float,
         bottom: float,
         width: float,
@@ -203,29 +203,29 @@ class _Sheet(Sheet):
             top += _NOTE
         title = self._text(x, top, printable(label), fontproperties=self.bold, size=TITLE)
         self._shorten(title, room)
-        total = max(1, found.pixels)
+        total = max(1, histogram.pixels)
         parts = [
-            f"{found.pixels:,} px",
-            f"{percent(found.chromatic / total)} with a hue",
-            f"{percent(found.grey / total)} grey",
-            f"{percent(found.transparent / total)} transparent",
+            f"{histogram.pixels:,} px",
+            f"{percent(histogram.chromatic / total)} with a hue",
+            f"{percent(histogram.grey / total)} grey",
+            f"{percent(histogram.transparent / total)} transparent",
         ]
-        if found.nonfinite:
-            parts.append(f"{percent(found.nonfinite / total)} NaN or Inf")
+        if histogram.nonfinite:
+            parts.append(f"{percent(histogram.nonfinite / total)} NaN or Inf")
         shares = self._text(x, bottom + 0.215, ", ".join(parts))
         if self._width_of(shares) > room:
             shares.set_text(", ".join(parts[1:]))
             self._shorten(shares, room)
-        self._peaks(found, x, bottom + 0.085, room)
+        self._peaks(histogram, x, bottom + 0.085, room)
 
-    def _peaks(self, found: HueHistogram, x: float, y: float, room: float) -> None:
-        if not found.peaks:
-            words = "no hue stands out" if found.chromatic else "no pixel has a hue"
+    def _peaks(self, histogram: HueHistogram, x: float, y: float, room: float) -> None:
+        if not histogram.peaks:
+            words = "no hue stands out" if histogram.chromatic else "no pixel has a hue"
             self._text(x, y, words)
             return
         end = x + room
-        for number, peak in enumerate(found.peaks):
-            left = len(found.peaks) - number
+        for number, peak in enumerate(histogram.peaks):
+            left = len(histogram.peaks) - number
             text = self._text(x + 0.12, y, f"{peak.hue:.1f}° {percent(peak.share)}")
             width = 0.12 + self._width_of(text) + 0.14
             # Room is kept for the words on those that are left out.
@@ -236,8 +236,8 @@ class _Sheet(Sheet):
             self._swatch(x, y - 0.005, 0.085, srgb_hex(peak.rgb))
             x += width
 
-    def _heights(self, found: HueHistogram) -> Any:
-        return self.scale.heights(found.shares(self.look.weight), self.top)
+    def _heights(self, histogram: HueHistogram) -> Any:
+        return self.scale.heights(histogram.shares(self.look.weight), self.top)
 
     def _ticks(self, height: float) -> list[tuple[float, str]]:
         """Heights and shares to write there, no closer than the letters need."""
@@ -247,7 +247,7 @@ class _Sheet(Sheet):
             for share in ticks(self.top, self.scale, apart)
         ]
 
-    def _linear(self, found: HueHistogram, left: float, bottom: float) -> None:
+    def _linear(self, histogram: HueHistogram, left: float, bottom: float) -> None:
         axes = self._axes(left, bottom, self.linear_width, self.plot_height)
         axes.set_xlim(self.start, self.start + 360)
         axes.set_ylim(0, 1)
@@ -256,7 +256,7 @@ class _Sheet(Sheet):
         # Bars that the axis' ends cut are drawn at both.
         numbers = np.arange(first, first + self.bins + 2)
         edges = (np.append(numbers, numbers[-1] + 1) - 0.5) * width
-        heights = self._heights(found)[numbers % self.bins]
+        heights = self._heights(histogram)[numbers % self.bins]
         rows = self._ticks(self.plot_height)
         for height, _ in rows[1:]:
             axes.axhline(height, color=PALE, linewidth=0.4, zorder=0)
@@ -303,7 +303,7 @@ class _Sheet(Sheet):
         colors = hue_colors(self.axis, begins + width / 2)
         axes.add_collection(PolyCollection(corners, facecolors=colors, linewidth=0))
 
-    def _polar(self, found: HueHistogram, left: float, bottom: float) -> None:
+    def _polar(self, histogram: HueHistogram, left: float, bottom: float) -> None:
         size = self.polar_size - 2 * _POLAR_MARGIN
         axes = self._axes(
             left + _POLAR_MARGIN, bottom + _POLAR_MARGIN, size, size, projection="polar"
@@ -320,7 +320,7 @@ class _Sheet(Sheet):
             )  # fmt: skip
             label.set_fontproperties(self.font)
             label.set_fontsize(SMALLEST)
-        heights = self._heights(found) * (1 - _HOLE)
+        heights = self._heights(histogram) * (1 - _HOLE)
         axes.add_collection(
             PolyCollection(
                 [self._wedge(k, heights[k]) for k in np.flatnonzero(heights).tolist()],

@@ -43,8 +43,8 @@ def as_text(entries: Sequence[Entry], look: Look) -> bytes:
     """Charts of all entries on one scale, each with its counts and peaks."""
     axis = common_axis(entries)
     chart = _Chart(axis, entries, look)
-    blocks = ["\n".join(_lines(label, found, chart, look)) for label, found in entries]
-    if any(found.chromatic for _, found in entries):
+    blocks = ["\n".join(_lines(label, histogram, chart, look)) for label, histogram in entries]
+    if any(histogram.chromatic for _, histogram in entries):
         blocks.append(chart.caption)
     return encoded("\n\n".join(blocks) + "\n", look)
 
@@ -87,15 +87,15 @@ def pixels_sentence(histogram: HueHistogram) -> str:
 
 def concentration_sentence(histogram: HueHistogram) -> str:
     """What the concentration of a histogram is, in words."""
-    found = histogram.concentration
+    concentration = histogram.concentration
     near = (
-        f"{percent(found.share)} of pixels within {PEAK_RADIUS_DEG:g}° of the peaks"
+        f"{percent(concentration.share)} of pixels within {PEAK_RADIUS_DEG:g}° of the peaks"
         if histogram.peaks
         else "no hue stands out"
     )
     return (
         f"{near}; {histogram.occupied} of {histogram.bins} bins; "
-        f"entropy {found.entropy:.2f} of {np.log2(histogram.bins):.2f} bits"
+        f"entropy {concentration.entropy:.2f} of {np.log2(histogram.bins):.2f} bits"
     )
 
 
@@ -114,7 +114,7 @@ class _Chart:
         self.hues = (self.first + np.arange(bins)) * (360 / bins)
         self.colors = hue_colors(axis, self._columns(self.hues, mean=True))
         self.scale = SCALES[look.scale]
-        self.top = max(float(self._shares(found).max()) for _, found in entries) or 1.0
+        self.top = max(float(self._shares(histogram).max()) for _, histogram in entries) or 1.0
 
     @property
     def caption(self) -> str:

@@ -128,7 +128,7 @@ def percent(share: float) -> str:
 
 def ticks(top: float, scale: Scale, apart: float) -> list[float]:
     """Round shares from 0 up to `top`; their heights are at least the share `apart` of it apart."""
-    found, last = [0.0], 1 + apart
+    shares, last = [0.0], 1 + apart
     digits = [
         digit * 10.0**exponent
         for exponent in range(math.floor(math.log10(top)), LOWEST_TICK, -1)
@@ -137,6 +137,6 @@ def ticks(top: float, scale: Scale, apart: float) -> list[float]:
     for share in digits:
         height = float(scale.heights(share, top))
         if share <= top and apart <= height <= last - apart:
-            found.append(share)
+            shares.append(share)
             last = height
-    return sorted(found)
+    return sorted(shares)

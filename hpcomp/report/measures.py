@@ -53,12 +53,12 @@ def _result_data(
     }
 
 
-def _contributor_data(found: ContributorMeasures) -> dict[str, Any]:
+def _contributor_data(contributor: ContributorMeasures) -> dict[str, Any]:
     return {
-        "pixels": found.pixels,
-        "survived_pixels": found.survived,
-        "survived_share": found.survived_share,
-        "lost_to_grey": found.lost,
+        "pixels": contributor.pixels,
+        "survived_pixels": contributor.survived,
+        "survived_share": contributor.survived_share,
+        "lost_to_grey": contributor.lost,
     }
 
 

@@ -117,10 +117,10 @@ def as_data(palette: Palette) -> dict[str, Any]:
 def rules_data(palette: Palette) -> dict[str, str | float]:
     """What of a stack's rules holds for a palette, by name, as text and numbers."""
     of_layers = {"operators", "opacities", "background", "exposure"}
-    found = {f.name: getattr(palette.stack, f.name) for f in fields(palette.stack)}
+    rules = {f.name: getattr(palette.stack, f.name) for f in fields(palette.stack)}
     return {
         name: value if isinstance(value, (str, float)) else str(getattr(value, "name", value))
-        for name, value in found.items()
+        for name, value in rules.items()
         if name not in of_layers
     }
 

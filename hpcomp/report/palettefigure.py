@@ -361,15 +361,15 @@ def _widened(brightness: Floats, colors: Floats, by: int) -> tuple[Floats, Float
     """Every pixel as a round dot of that radius, the brighter over the darker."""
     best = brightness.copy()
     whence = np.arange(brightness.size).reshape(brightness.shape)
-    found = whence.copy()
+    sources = whence.copy()
     for dy in range(-by, by + 1):
         for dx in range(-by, by + 1):
             if 0 < dx * dx + dy * dy <= by * by:
                 moved = np.roll(brightness, (dy, dx), (0, 1))
                 better = np.flatnonzero(moved > best)
                 best.flat[better] = moved.flat[better]
-                found.flat[better] = np.roll(whence, (dy, dx), (0, 1)).flat[better]
-    return best, colors.reshape(-1, 3)[found]
+                sources.flat[better] = np.roll(whence, (dy, dx), (0, 1)).flat[better]
+    return best, colors.reshape(-1, 3)[sources]
 
 
 def _apart(angles: Floats, least: float) -> Floats:
@@ -378,13 +378,13 @@ def _apart(angles: Floats, least: float) -> Floats:
     if n < 2:
         return angles
     order = np.argsort(angles, kind="stable")
-    found = angles[order].astype(np.float64)
+    spread = angles[order].astype(np.float64)
     for _ in range(60):
-        gaps = np.diff(found, append=found[0] + 360)
+        gaps = np.diff(spread, append=spread[0] + 360)
         push = np.maximum(least - gaps, 0) / 2
         if push.max() < 0.01:
             break
-        found = found - push + np.roll(push, 1)
-    moved = np.empty_like(found)
-    moved[order] = found
+        spread = spread - push + np.roll(push, 1)
+    moved = np.empty_like(spread)
+    moved[order] = spread
     return moved

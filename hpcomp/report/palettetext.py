@@ -87,22 +87,22 @@ def _pair_lines(palette: Palette, look: PaletteLook) -> list[str]:
         back, front = (_name(palette.labels[n].name) for n in (pair.back, pair.front))
         cells = [
             cell
-            for found in (pair.traditional, pair.result)
-            for cell in (f"{found.foreign:.0%}", _least(found))
+            for profile in (pair.traditional, pair.result)
+            for cell in (f"{profile.foreign:.0%}", _least(profile))
         ]
         angle = "-" if pair.angle is None else f"{pair.angle:.0f}°"
         rows.append((f"{back} → {front}", angle, *cells))  # type: ignore[arg-type]
     first, second, *lines = _aligned(rows, left=1)
-    found = [first, second]
+    table = [first, second]
     for pair, line in zip(pairs, lines, strict=True):
-        found.append(line)
+        table.append(line)
         if look.color:
             room = min((look.columns - 6) // 2, _WIDEST_BAR)
             bars = [
                 _bar(palette, profile, max(room, _NARROWEST_BAR))
                 for profile in (pair.traditional, pair.result)
             ]
-            found.append(f"  {bars[0]}  {bars[1]}")
+            table.append(f"  {bars[0]}  {bars[1]}")
     order = (
         "The other way round, opacities are what is left to 100%."
         if len(pairs) == len(palette.soonest)
@@ -110,7 +110,7 @@ def _pair_lines(palette: Palette, look: PaletteLook) -> list[str]:
     )
     caption = ["Opacities of the front label over the opaque back one.", order]
     bars = ["Bars: the blend from opacity 0 to 1 above, its hue below."] if look.color else []
-    return [*found, *caption, *bars]
+    return [*table, *caption, *bars]
 
 
 def _least(profile: Profile) -> str:

@@ -48,7 +48,7 @@ JSON_KEYS: dict[str, str] = {
 def as_data(report: StackReport) -> dict[str, Any]:
     """The report as dictionaries, lists, strings and numbers."""
     common_axis(report.entries)
-    found = report.findings
+    findings = report.findings
     return {
         "schema": SCHEMA,
         "version": SCHEMA_VERSION,
@@ -57,19 +57,19 @@ def as_data(report: StackReport) -> dict[str, Any]:
         "hpcomp": report.version,
         "engine": report.engine,
         "settings": dict(report.settings),
-        "measures": measures.as_data(found.measures, report.labels, report.energy_weights),
-        "space": found.result.space,
-        "bins": found.result.bins,
-        "achromatic": found.result.achromatic,
+        "measures": measures.as_data(findings.measures, report.labels, report.energy_weights),
+        "space": findings.result.space,
+        "bins": findings.result.bins,
+        "achromatic": findings.result.achromatic,
         "peak_radius": PEAK_RADIUS_DEG,
         "layers": [
             {"number": number, "label": label, **huedata.histogram_data(histogram)}
             for number, (label, histogram) in enumerate(
-                zip(report.labels, found.layers, strict=True)
+                zip(report.labels, findings.layers, strict=True)
             )
         ],
-        "result": huedata.histogram_data(found.result),
-        "traditional": huedata.histogram_data(found.traditional),
+        "result": huedata.histogram_data(findings.result),
+        "traditional": huedata.histogram_data(findings.traditional),
     }
 
 

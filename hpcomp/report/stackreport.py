@@ -69,11 +69,11 @@ class StackReport:
     @property
     def entries(self) -> list[Entry]:
         """The histograms, as a report of hues has them: layers, result, traditional result."""
-        found = self.findings
+        findings = self.findings
         return [
-            *zip(self.labels, found.layers, strict=True),
-            ("result", found.result),
-            ("traditional", found.traditional),
+            *zip(self.labels, findings.layers, strict=True),
+            ("result", findings.result),
+            ("traditional", findings.traditional),
         ]
 
 
