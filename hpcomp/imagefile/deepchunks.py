@@ -205,11 +205,11 @@ class DeepChunks:
         for number in range(first * across, (last + 1) * across):
             chunk = self._chunk(number)
             left = chunk.window.x - layout.window.x
-            for row, found in self._rows(chunk, begin, end):
+            for row, pieces in self._rows(chunk, begin, end):
                 counts[row - begin, left : left + chunk.window.width] = chunk.counts[
                     row - chunk.window.y
                 ]
-                for plane, piece in zip(planes[row - begin], found, strict=True):
+                for plane, piece in zip(planes[row - begin], pieces, strict=True):
                     plane.append(piece)
         return counts, {
             name: _joined([piece for row in planes for piece in row[number]])

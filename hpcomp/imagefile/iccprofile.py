@@ -171,8 +171,10 @@ def _primaries(tags: dict[bytes, bytes]) -> Primaries:
     white = _numbers(tags[b"wtpt"], 3, 8) if b"wtpt" in tags else _D50
     if np.abs(white - _D50).max() <= _WHITE_TOLERANCE:
         white = _D50
-    found = [_primaries_of(colorants, adaptation(_D50, xyz)) for xyz in (white, _D65)]
-    return next((primaries for primaries in found if primaries.name != "custom"), found[0])
+    candidates = [_primaries_of(colorants, adaptation(_D50, xyz)) for xyz in (white, _D65)]
+    return next(
+        (primaries for primaries in candidates if primaries.name != "custom"), candidates[0]
+    )
 
 
 def _primaries_of(colorants: Array, from_d50: Array) -> Primaries:

@@ -364,11 +364,11 @@ def _makers(jobs: Sequence[Job]) -> dict[str, int]:
 
 def _needs(jobs: Sequence[Job], makers: Mapping[str, int]) -> list[dict[str, int]]:
     """Of each job the layers that others write, and which job does."""
-    found = []
+    needs = []
     for number, job in enumerate(jobs):
         by = {path: makers.get(os.path.realpath(path), number) for path in job.inputs}
-        found.append({path: maker for path, maker in by.items() if maker != number})
-    return found
+        needs.append({path: maker for path, maker in by.items() if maker != number})
+    return needs
 
 
 def _order(jobs: Sequence[Job], needs: Sequence[Mapping[str, int]]) -> TopologicalSorter[int]:

@@ -13,7 +13,7 @@ from .pagechart import LARGE, Charts
 def as_html(entries: Sequence[Entry], look: Look) -> bytes:
     """A page with a chart of each entry, on one scale."""
     charts = Charts(entries, look)
-    figures = [charts.figure(isolated(label), found, LARGE) for label, found in entries]
+    figures = [charts.figure(isolated(label), histogram, LARGE) for label, histogram in entries]
     content = lines(
         charts.colors(),
         h.p(class_="note")[charts.caption + _one_scale(entries)],

@@ -59,7 +59,7 @@ class Charts:
         self.bins = entries[0][1].bins
         self.start = axis_start(self.axis)
         self.scale = SCALES[look.scale]
-        shares = [found.shares(look.weight) for _, found in entries]
+        shares = [histogram.shares(look.weight) for _, histogram in entries]
         self.top = max(float(share.max()) for share in shares) * 1.04 or 1.0
 
     @property
@@ -80,21 +80,21 @@ class Charts:
         gradient = h.Element("linearGradient")(id=_GRADIENT)[stops]
         return h.svg(class_="defs", width=0, height=0, aria_hidden="true")[gradient]
 
-    def figure(self, label: Node, found: HueHistogram, size: Size) -> Node:
+    def figure(self, label: Node, histogram: HueHistogram, size: Size) -> Node:
         """A histogram under its heading, with its counts and peaks."""
         heading = h.figcaption[h.h3[label], h.p(class_="readout", aria_live="polite")]
-        counts = h.p(class_="note")[f"{pixels_sentence(found)}."]
-        if not found.chromatic:
+        counts = h.p(class_="note")[f"{pixels_sentence(histogram)}."]
+        if not histogram.chromatic:
             return h.figure(class_="chart")[heading, counts]
         return h.figure(class_="chart")[
             heading,
             counts if size.full else "",
-            self._plot(found, size),
-            peak_list(found),
-            h.p(class_="note")[f"{concentration_sentence(found)}."] if size.full else "",
+            self._plot(histogram, size),
+            peak_list(histogram),
+            h.p(class_="note")[f"{concentration_sentence(histogram)}."] if size.full else "",
         ]
 
-    def _plot(self, found: HueHistogram, size: Size) -> Node:
+    def _plot(self, histogram: HueHistogram, size: Size) -> Node:
         height = size.plot
         rows = [
             (_ABOVE + height - height * float(self.scale.heights(share, self.top)), share)
@@ -118,17 +118,17 @@ class Charts:
             width="100%",
             height=height,
         )[
-            h.path(d=self._outline(found), class_="bars"),
+            h.path(d=self._outline(histogram), class_="bars"),
             h.path(d="", class_="cursor"),
-            (self._hit(peak) for peak in found.peaks),
+            (self._hit(peak) for peak in histogram.peaks),
         ]
         base = _ABOVE + height + _GAP
         plot = h.svg(
             class_="plot",
             height=whole,
             role="img",
-            aria_label=summary(found),
-            data_shares=self._data(found),
+            aria_label=summary(histogram),
+            data_shares=self._data(histogram),
             data_bins=self.bins,
             data_start=digits(self.start),
         )[
@@ -139,11 +139,11 @@ class Charts:
         ]
         return h.div(class_="plotted")[shares, plot]
 
-    def _outline(self, found: HueHistogram) -> str:
+    def _outline(self, histogram: HueHistogram) -> str:
         """The bars as one path; neighbours are drawn in one go. The axis' ends cut a bar in two."""
         width = 360 / self.bins
         first = int(np.floor(self.start / width))
-        heights = self.scale.heights(found.shares(self.look.weight), self.top) * _UNITS
+        heights = self.scale.heights(histogram.shares(self.look.weight), self.top) * _UNITS
         steps, open_ = [], False
         for index in range(first, first + self.bins + 2):
             height = float(heights[index % self.bins])
@@ -173,11 +173,11 @@ class Charts:
                 texts.append(h.text(x=place, y=digits(y + 29))[name])
         return h.g(class_="landmarks", aria_hidden="true")[texts]
 
-    def _data(self, found: HueHistogram) -> str:
+    def _data(self, histogram: HueHistogram) -> str:
         """Number and share, in percent, of each bin with a pixel: what the page's script reads."""
-        shares = found.shares(self.look.weight)
+        shares = histogram.shares(self.look.weight)
         return ",".join(
-            f"{index}:{100 * float(shares[index]):.3g}" for index in np.flatnonzero(found.count)
+            f"{index}:{100 * float(shares[index]):.3g}" for index in np.flatnonzero(histogram.count)
         )
 
 
@@ -194,11 +194,11 @@ def peak_text(peak: Peak) -> str:
     )
 
 
-def summary(found: HueHistogram) -> str:
+def summary(histogram: HueHistogram) -> str:
     """What a chart shows, for those who do not see it."""
-    if not found.peaks:
+    if not histogram.peaks:
         return "Hue histogram: no hue stands out."
-    peaks = "; ".join(f"{peak.hue:.0f}° {percent(peak.share)}" for peak in found.peaks)
+    peaks = "; ".join(f"{peak.hue:.0f}° {percent(peak.share)}" for peak in histogram.peaks)
     return f"Hue histogram. Peaks, with their shares of the pixels with a hue: {peaks}."
 
 
@@ -209,14 +209,14 @@ def swatch(color: str) -> Node:
     ]
 
 
-def peak_list(found: HueHistogram) -> Node:
+def peak_list(histogram: HueHistogram) -> Node:
     """The peaks with their colours, hues and shares."""
-    if not found.peaks:
+    if not histogram.peaks:
         return h.p(class_="note")["no hue stands out"]
     rows = [
         h.li(title=peak_text(peak))[
             swatch(srgb_hex(peak.rgb)), f" {peak.hue:.1f}° ", h.b[percent(peak.share)]
         ]
-        for peak in found.peaks
+        for peak in histogram.peaks
     ]
     return h.ul(class_="peaks")[rows]

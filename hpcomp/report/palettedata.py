@@ -52,8 +52,8 @@ JSON_KEYS: dict[str, str] = {
 def shown(palette: Palette, rgb: Any) -> Floats:
     """Linear colours as they are shown: made darker together where a label is beyond white."""
     brightest = max(max(label.rgb) for label in palette.labels)
-    found: Floats = np.asarray(rgb, np.float64) / max(1.0, brightest)
-    return found
+    within_white: Floats = np.asarray(rgb, np.float64) / max(1.0, brightest)
+    return within_white
 
 
 def hex_colors(palette: Palette, rgb: Any) -> list[str]:

@@ -42,8 +42,8 @@ def result_name(report: StackReport) -> str:
 
 
 def _lead(report: StackReport) -> str:
-    found = report.findings.measures
-    ours, plain = found.result, found.traditional
+    measures = report.findings.measures
+    ours, plain = measures.result, measures.traditional
     if not plain.chromatic and not ours.chromatic:
         return "No pixel has a hue."
     theirs = percent(plain.foreign_share) if plain.foreign else "none"
@@ -181,14 +181,14 @@ def _legend_row(number: int, label: str, color: str, n_pixels: int, all_pixels: 
     return h.li[h.label[switch, swatch(color), words, part]]
 
 
-def layer_color(found: HueHistogram) -> str:
+def layer_color(histogram: HueHistogram) -> str:
     """The colour that stands for a layer: of its largest peak, else the mean of all with a hue."""
-    if found.peaks:
-        return srgb_hex(found.peaks[0].rgb)
-    weight = float(found.alpha_sums.sum()) or float(found.chromatic)
+    if histogram.peaks:
+        return srgb_hex(histogram.peaks[0].rgb)
+    weight = float(histogram.alpha_sums.sum()) or float(histogram.chromatic)
     if not weight:
         return _COLORLESS
-    return srgb_hex(found.rgb_sums.sum(axis=0) / weight)
+    return srgb_hex(histogram.rgb_sums.sum(axis=0) / weight)
 
 
 def layer_name(number: int, label: str) -> Node:
@@ -213,15 +213,15 @@ class _Measure:
 
 
 def _measures(report: StackReport) -> list[_Measure]:
-    found = report.findings.measures
-    ours, plain = found.result, found.traditional
+    measures = report.findings.measures
+    ours, plain = measures.result, measures.traditional
     red, green, blue = (f"{weight:g}" for weight in report.energy_weights)
-    white = (found.pixels - found.unmeasured) * sum(report.energy_weights)
+    white = (measures.pixels - measures.unmeasured) * sum(report.energy_weights)
     return [
         _Measure(
             "Foreign hue, by pixel",
             "The share of the coloured pixels whose hue is more than "
-            f"{found.settings.foreign_tolerance:.3g}° from that of every layer that contributes "
+            f"{measures.settings.foreign_tolerance:.3g}° from that of every layer that contributes "
             "there.",
             ours.foreign_share,
             plain.foreign_share,
@@ -243,7 +243,7 @@ def _measures(report: StackReport) -> list[_Measure]:
             "Order sensitivity",
             "The share of the coloured pixels that would show another layer’s hue if the layers "
             "were blended from the top down instead of from the bottom up.",
-            found.order_sensitivity,
+            measures.order_sensitivity,
             None,
         ),
         _Measure(
@@ -272,13 +272,13 @@ def _cards(report: StackReport) -> list[Node]:
 
 
 def _counts(report: StackReport) -> Node:
-    found = report.findings.measures
+    measures = report.findings.measures
     sentences = [
-        f"Of {found.pixels:,} pixels, {found.result.chromatic:,} have a hue in the result and "
-        f"{found.traditional.chromatic:,} in the {TRADITIONAL} one."
+        f"Of {measures.pixels:,} pixels, {measures.result.chromatic:,} have a hue in the result "
+        f"and {measures.traditional.chromatic:,} in the {TRADITIONAL} one."
     ]
-    if found.unmeasured:
-        sentences.append(f"{found.unmeasured:,} hold NaN or Inf and are left out.")
+    if measures.unmeasured:
+        sentences.append(f"{measures.unmeasured:,} hold NaN or Inf and are left out.")
     return h.p(class_="note")[lines(*sentences, by=" ")]
 
 
@@ -299,8 +299,8 @@ def _bar(value: float) -> Node:
 
 
 def _hues(report: StackReport) -> Node:
-    found = report.findings
-    results = [(result_name(report), found.result), (TRADITIONAL, found.traditional)]
+    findings = report.findings
+    results = [(result_name(report), findings.result), (TRADITIONAL, findings.traditional)]
     # A scale of their own: layers are often one bar, beside which a smear would be flat.
     charts = Charts(results, Look())
     figures = [charts.figure(_title(name), histogram, LARGE) for name, histogram in results]
@@ -316,20 +316,22 @@ def _title(name: str) -> str:
 
 
 def _layers(report: StackReport) -> Node:
-    found = report.findings
-    charts = Charts(list(zip(report.labels, found.layers, strict=True)), Look())
+    findings = report.findings
+    charts = Charts(list(zip(report.labels, findings.layers, strict=True)), Look())
     heads = ("Layer", "Peaks", "Pixels", "Hue survived", "Lost to grey")
     rows = [
         _layer_row(
             h.fragment[swatch(layer_color(histogram)), layer_name(number, label)],
-            found.measures.result.layers[number],
-            found.measures.traditional.layers[number],
+            findings.measures.result.layers[number],
+            findings.measures.traditional.layers[number],
             peak_list(histogram) if histogram.chromatic else h.span["no hue"],
             heads,
         )
-        for number, (label, histogram) in enumerate(zip(report.labels, found.layers, strict=True))
+        for number, (label, histogram) in enumerate(
+            zip(report.labels, findings.layers, strict=True)
+        )
     ]
-    ours, plain = found.measures.result.background, found.measures.traditional.background
+    ours, plain = findings.measures.result.background, findings.measures.traditional.background
     if ours.chroma:
         rows.append(_layer_row("background", ours, plain, "", heads))
     table = h.table(role="table")[
@@ -346,7 +348,9 @@ def _layers(report: StackReport) -> Node:
     ]
     figures = [
         charts.figure(layer_name(number, label), histogram, SMALL)
-        for number, (label, histogram) in enumerate(zip(report.labels, found.layers, strict=True))
+        for number, (label, histogram) in enumerate(
+            zip(report.labels, findings.layers, strict=True)
+        )
     ]
     return lines(
         table,
@@ -374,8 +378,8 @@ def _layer_row(
     cells = (
         peaks,
         f"{ours.pixels:,}",
-        both(lambda found: found.survived_share),
-        both(lambda found: found.lost),
+        both(lambda contributor: contributor.survived_share),
+        both(lambda contributor: contributor.lost),
     )
     return h.tr(role="row")[
         h.th(scope="row", role="rowheader")[name],
