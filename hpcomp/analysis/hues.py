@@ -1,4 +1,4 @@
-"""Measures pictures in files, strip by strip and in one pass: their hue histograms."""
+"""Measures pictures in files, strip by strip: their hue histograms. Writes and draws nothing."""
 
 from __future__ import annotations
 

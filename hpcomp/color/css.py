@@ -1,4 +1,4 @@
-"""Colours as CSS writes them, `#ff8800` or `orange`: what options and layers take for a colour."""
+"""CSS colours, `#ff8800` or `orange`, in linear light. Knows no pixels, no layers."""
 
 from __future__ import annotations
 

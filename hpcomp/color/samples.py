@@ -1,4 +1,4 @@
-"""Strips of stored samples, and numpy's way between them and linear premultiplied RGBA."""
+"""Strips of stored samples, and numpy's way between them and linear RGBA. No blending, no files."""
 
 from __future__ import annotations
 

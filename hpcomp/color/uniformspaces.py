@@ -1,4 +1,4 @@
-"""Oklab and CIELAB as maps between linear RGB and (Y, p): p = Y·(a, b)/L of the colour at Y = 1.
+"""Oklab and CIELAB as maps between linear RGB and (Y, p), for `spaces`. No other space, no pixels.
 
 So p is of degree 1 in the colour, as weights need it, and its angle is the hue of that space.
 A chromaticity is a vector q = p/Y. Planes first: rgb (3, …), p (2, …).

@@ -1,4 +1,4 @@
-"""Deep parts of an EXR, read without a library: scanlines or tiles, ZIPS, RLE or none.
+"""Deep parts of an EXR, read without a library: scanlines or tiles, ZIPS, RLE or none. No colours.
 
 A chunk is a tile, or a row: how many samples each pixel has, then row by row a plane of them for
 each channel. OpenEXR: File Layout, Deep Data.

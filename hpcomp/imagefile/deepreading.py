@@ -1,4 +1,4 @@
-"""One deep image of a file: its samples, strip by strip, as linear colours and depths."""
+"""One deep image of a file: samples, strip by strip, as linear colours and depths. No canvas."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How a layer's samples are to be taken: what its file says, and what the user says instead."""
+"""How a layer's samples are to be taken: what its file says or the user instead. Reads no file."""
 
 from __future__ import annotations
 

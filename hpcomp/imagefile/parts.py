@@ -1,4 +1,4 @@
-"""What a file holds, as data: its parts, their channels and colours, and which one is meant."""
+"""What a file holds, as data: parts, channels, colours, and which one is meant. Reads no file."""
 
 from __future__ import annotations
 

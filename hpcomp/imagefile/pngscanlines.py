@@ -1,4 +1,4 @@
-"""Plain PNG files, read without a library: 8 or 16 bits, no palette, not interlaced.
+"""Plain PNG files, read without a library: 8 or 16 bits, no palette, not interlaced. No colours.
 
 `layout_of` says which files are of this kind; all others are OpenImageIO's.
 W3C, Portable Network Graphics (PNG) Specification, third edition.

@@ -1,4 +1,4 @@
-"""PNG files, written: row filters, one deflate stream made of segments, and colour chunks.
+"""PNG files, written: filters, one deflate stream of segments, colour chunks. Encodes no colours.
 
 W3C, Portable Network Graphics (PNG) Specification, third edition; RFC 1950 and 1951.
 """

@@ -1,4 +1,4 @@
-"""The bytes of a file that has been described before, and is still the same."""
+"""The bytes of a file that has been described before, and is still the same. Parses nothing."""
 
 from __future__ import annotations
 

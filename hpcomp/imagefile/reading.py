@@ -1,4 +1,4 @@
-"""One layer of a file: its samples as stored, strip by strip, and what they mean."""
+"""One layer of a file: its samples as stored, strip by strip, and what they mean. No canvas."""
 
 from __future__ import annotations
 

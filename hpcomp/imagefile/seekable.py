@@ -1,4 +1,4 @@
-"""Files that can be read more than once: stdin and pipes are copied first."""
+"""Files that can be read more than once: stdin and pipes are copied first. Parses nothing."""
 
 from __future__ import annotations
 

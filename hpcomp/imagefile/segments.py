@@ -1,4 +1,4 @@
-"""A file of segments, each a fixed number of rows that is packed by itself.
+"""A file of segments, each a fixed number of rows that is packed by itself. Knows no format.
 
 So segments can be packed side by side, and the bytes do not depend on how the rows arrive.
 """

@@ -1,4 +1,4 @@
-"""Where the samples of a layer come from: a plain file is read here, any other by OpenImageIO."""
+"""Where a layer's samples come from: a file read here, or OpenImageIO. Does not decode colours."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One picture written strip by strip, in the form that its format allows."""
+"""One picture written strip by strip, in the form that its format allows. Encodes no colours."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a run warns of: inputs that cannot be honoured, pixels that were lost."""
+"""What a run warns of: inputs that cannot be honoured, pixels that were lost. Counts nothing."""
 
 from __future__ import annotations
 

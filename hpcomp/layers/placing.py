@@ -1,4 +1,4 @@
-"""The layers of a stack, opened and placed on their canvas."""
+"""The layers of a stack, opened and placed on their canvas. Blends nothing, writes nothing."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How one pixel of a stack comes about, as text for people and as plain data for JSON."""
+"""How one pixel of a stack comes about, as text for people and data for JSON. Blends nothing."""
 
 from __future__ import annotations
 

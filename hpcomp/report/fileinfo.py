@@ -1,4 +1,4 @@
-"""How a file will be read, as text for people and as plain data for JSON."""
+"""How a file will be read, as text for people and as plain data for JSON. Reads no file."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Hue histograms as data for scripts: JSON, whose keys are in `JSON_KEYS`, and CSV."""
+"""Hue histograms as data for scripts: JSON, whose keys are in `JSON_KEYS`, and CSV. No pictures."""
 
 from __future__ import annotations
 

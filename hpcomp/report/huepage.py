@@ -1,4 +1,4 @@
-"""Hue histograms as a page to read in a browser."""
+"""Hue histograms as a page to read in a browser. Its charts are made in `pagechart`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Hue histograms as bar charts of characters, in colour on a terminal."""
+"""Hue histograms as bar charts of characters, in colour on a terminal. Prints nothing."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What all hue reports share in looks: the choices, the colours, the scale of shares."""
+"""What all hue reports share in looks: choices, colours, the scale of shares. Draws nothing."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The measures of a stack, as text for people and as plain data for JSON."""
+"""The measures of a stack, as text for people and as plain data for JSON. Measures nothing."""
 
 from __future__ import annotations
 

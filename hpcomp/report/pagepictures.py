@@ -1,4 +1,4 @@
-"""Pictures for a page: PNG files written into the page itself."""
+"""Pictures for a page: PNG files written into the page itself. Makes no picture."""
 
 from __future__ import annotations
 

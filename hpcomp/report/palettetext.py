@@ -1,4 +1,4 @@
-"""A palette as tables of characters, with the blends themselves in colour on a terminal."""
+"""A palette as tables of characters, with the blends in colour on a terminal. Prints nothing."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The report of a stack as data for scripts, JSON and CSV, and as text for people."""
+"""The report of a stack as data for scripts, JSON and CSV, and as text. Measures nothing."""
 
 from __future__ import annotations
 

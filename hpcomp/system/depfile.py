@@ -1,4 +1,4 @@
-"""Dependency files for make and ninja: which files were read to make which."""
+"""Dependency files for make and ninja: which files were read to make which. Makes none of them."""
 
 from __future__ import annotations
 

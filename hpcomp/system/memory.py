@@ -1,4 +1,4 @@
-"""Amounts of memory, as people write them."""
+"""Amounts of memory, as people write them. Measures none."""
 
 from __future__ import annotations
 

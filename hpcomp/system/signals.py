@@ -1,4 +1,4 @@
-"""Signals that end a run, and how they wait for what must not be interrupted."""
+"""Signals that end a run, and how they wait for what must not be interrupted. Ends nothing."""
 
 from __future__ import annotations
 

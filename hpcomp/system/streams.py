@@ -1,4 +1,4 @@
-"""The standard streams, by the name that stands for them where a path is asked for."""
+"""The standard streams, by the name that stands for them where a path is asked for. No files."""
 
 from __future__ import annotations
 
