@@ -26,8 +26,21 @@ settings.register_profile("thorough", deadline=None, print_blob=True, max_exampl
 settings.load_profile(os.environ.get("HPCOMP_HYPOTHESIS", "default"))
 
 
+#: Fixtures that take long to make: tests are slow that need one.
+SLOW_FIXTURES = {
+    "full_reports",  # the paper's sample at full size
+    "machines",  # a cluster of Dask
+    "tab",  # a browser
+    "wide_slices",  # volumes of 256 slices
+}
+
+
+@pytest.hookimpl(tryfirst=True)  # before what is not wanted is left out
 def pytest_collection_modifyitems(items):
     mark_products(items)
+    for item in items:
+        if SLOW_FIXTURES.intersection(getattr(item, "fixturenames", ())):
+            item.add_marker(pytest.mark.slow)
 
 
 def composite_by(name, *arguments, **rules):

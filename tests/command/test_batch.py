@@ -430,6 +430,7 @@ def rewrite(path, data):
     os.utime(path, ns=(before.st_atime_ns, before.st_mtime_ns))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("first", [[], ["--update"]], ids=["plain", "update"])
 def test_update_makes_what_changed_and_nothing_else(desk, first):
     for path in desk.folder.iterdir():
@@ -532,6 +533,7 @@ def test_a_state_of_another_making_is_a_job_more_to_do(desk, lines):
     assert statuses(desk, "--update") == "current"
 
 
+@pytest.mark.slow
 def test_one_batch_at_a_time_has_a_state(desk):
     slow_jobs(desk)
     first = subprocess.Popen(command("batch", "jobs.json"), cwd=desk.folder, stderr=subprocess.PIPE)
@@ -544,6 +546,7 @@ def test_one_batch_at_a_time_has_a_state(desk):
     assert len(outputs(desk)) == 4
 
 
+@pytest.mark.slow
 def test_what_is_left_goes_though_the_number_of_the_process_is_another_s(desk):
     """In containers a new run may well have the number of the old one."""
     slow_jobs(desk)
@@ -635,6 +638,7 @@ def slow_jobs(desk, count=4):
     )  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_a_signal_ends_it_in_the_midst_of_its_jobs_and_leaves_nothing(desk, number, code):
     slow_jobs(desk)
@@ -648,6 +652,7 @@ def test_a_signal_ends_it_in_the_midst_of_its_jobs_and_leaves_nothing(desk, numb
     assert outputs(desk).keys() < {f"out{n}.png" for n in range(4)}
 
 
+@pytest.mark.slow
 def test_killed_at_any_moment_it_is_resumed_to_the_same_bytes(desk):
     count = 12
     put_jobs(desk, jobs(count, compression="9"))
@@ -748,6 +753,7 @@ def test_job_files_on_a_read_only_disk_are_done_without_a_state(desk):
     assert "disk/.jobs.json.hpcomp-state" in run.lines[-1]
 
 
+@pytest.mark.slow
 def test_an_input_that_is_replaced_in_mid_run_is_never_mixed(desk):
     """Each picture is of the old layer or of the new one, or its job failed; --update mends it."""
     slow_jobs(desk, 6)

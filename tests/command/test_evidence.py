@@ -152,6 +152,7 @@ def test_settings_that_change_reports_change_no_picture(here):
 # ---- reports -------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("order", ["bottom-up", "top-down", "simultaneous"])
 def test_neither_threads_nor_strips_show(here, caplog, order):
     caplog.set_level(logging.INFO, "hpcomp")
@@ -586,6 +587,7 @@ def test_failing_report_leaves_nothing(here, monkeypatch, name):
     assert snapshot(here) == before
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=lambda number: number.name)
 @pytest.mark.parametrize("threads", [1, 2])
 def test_signal_while_compositing(desk, number, threads):

@@ -217,6 +217,7 @@ def test_little_memory_changes_no_byte(desk):
     assert (desk / "much.exr").read_bytes() == (desk / "little.exr").read_bytes()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("threads", [1, 2])
 @pytest.mark.parametrize(
     "options",
@@ -248,6 +249,7 @@ def skewed(samples, seed=0):
     return Deep(counts, {**planes, "A": alpha.astype("f2"), "Z": depth})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("order", ORDER_NAMES)
 def test_thousands_of_samples_in_one_pixel_stay_in_the_budget(tmp_path, order):
     deepfile.write(tmp_path / "tiny.exr", skewed(3))
@@ -272,6 +274,7 @@ def test_a_pixel_that_does_not_fit_names_the_least_memory(desk, order):
     desk.makes(*how, line.partition("at least ")[2].partition(",")[0])
 
 
+@pytest.mark.slow
 def test_memory_does_not_follow_the_height(tmp_path):
     """500 rows more are 46 MiB of samples; what their offsets and counts take is far less."""
     peaks = []

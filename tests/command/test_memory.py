@@ -123,6 +123,7 @@ def test_small_budget(peak, name, threads):
     assert peak([name] * 4, "exr", 20, threads) <= 20
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("engine_name", list(dict.fromkeys([engine.active().name, "reference"])))
 @pytest.mark.parametrize("threads", [1, 2])
 def test_budget_of_every_engine(peak, engine_name, threads):
@@ -134,6 +135,7 @@ def test_budget_of_every_engine(peak, engine_name, threads):
         assert used <= 40
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("engine_name", list(dict.fromkeys([engine.active().name, "reference"])))
 @pytest.mark.parametrize("threads", [1, 2])
 def test_a_report_in_a_space_that_numpy_measures(peak, engine_name, threads, tmp_path):
@@ -142,6 +144,7 @@ def test_a_report_in_a_space_that_numpy_measures(peak, engine_name, threads, tmp
     assert peak(["wide.png", "wide.exr"] * 3, "exr", 80, threads, *options, env=env) <= 80
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name",
     ["wide.exr::colorspace=srgb", "wide.exr::colorspace=acescg", "wide.exr::alpha=straight",
@@ -157,6 +160,7 @@ def test_output_that_takes_more_encoding(peak, compression):
     assert peak(["wide.png"] * 2, "exr", 48, 2, "--compression", compression) <= 48
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("threads", [1, 2, 4])
 @pytest.mark.parametrize("budget", [None, 192, 320])
 def test_output_in_blocks_of_256_rows(peak, files, tmp_path, budget, threads):
@@ -183,6 +187,7 @@ def test_output_that_does_not_shrink(peak, compression):
     assert peak(["noise.exr"] * 2, "exr", 32, 4, *options) <= 32
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("order", ["balanced", "simultaneous", "permutation"])
 def test_orders_that_hold_every_layer(peak, order):
     """They take more for each layer, out of shorter strips."""
@@ -204,6 +209,7 @@ def test_height_does_not_matter(peak, ending, threads):
     assert high - low <= 12
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("threads", [1, 2])
 @pytest.mark.parametrize("order", ["bottom-up", "top-down"])
 def test_number_of_layers_does_not_matter(peak, order, threads):
@@ -242,6 +248,7 @@ def told(request, tmp_path):
     return "--report", tmp_path / f"told.{request.param}"
 
 
+@pytest.mark.slow
 @pytest.mark.pairwise
 @pytest.mark.parametrize("threads", [1, 2])
 @pytest.mark.parametrize("name", ["wide.png", "wide.exr"])
@@ -249,6 +256,7 @@ def test_reports_of_four_layers_stay_in_the_budget(peak, told, name, threads):
     assert peak([name] * 4, "exr", 48, threads, *told) <= 48
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("order", ["bottom-up", "top-down", "simultaneous"])
 def test_reports_of_many_layers_stay_in_the_budget(peak, told, order):
     """All layers of a strip are looked at together, whatever the order, and decoded for that."""
@@ -256,6 +264,7 @@ def test_reports_of_many_layers_stay_in_the_budget(peak, told, order):
     assert peak(layers, "exr", 112, 2, "--order", order, *told) <= 112
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("threads", [1, 2])
 def test_height_does_not_matter_to_a_report(peak, told, threads):
     """Four times the rows; whole, the three layers would take 50 MiB more. A page's pictures have
@@ -265,6 +274,7 @@ def test_height_does_not_matter_to_a_report(peak, told, threads):
     assert high - low <= 12
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("engine_name", list(dict.fromkeys([engine.active().name, "reference"])))
 def test_minimum_of_a_report(peak, files, tmp_path, told, engine_name):
     env = {"HPCOMP_ENGINE": engine_name}
@@ -280,6 +290,7 @@ def test_minimum_of_a_report(peak, files, tmp_path, told, engine_name):
 # ---- the least ------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("threads", [1, 2])
 @pytest.mark.parametrize("name", ["interlaced.png", "blocks.exr", "tiles.exr", "wide.exr"])
 def test_minimum(peak, files, tmp_path, name, threads):

@@ -503,6 +503,7 @@ def test_names_around_a_disc_do_not_touch():
     assert figure._apart(np.array([0.0, 90.0]), 11.0) == pytest.approx([0, 90])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", PALETTE_FORMATS)
 def test_same_bytes_in_another_process_at_another_time(name, tmp_path):
     """Whatever the user's matplotlibrc, the time, the hash seed and the locale."""

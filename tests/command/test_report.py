@@ -63,12 +63,14 @@ def render(name, entries=ENTRIES, **look):
 SEVERAL = [(f"image {n}", THREE if n % 2 else SMEAR) for n in range(12)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("entries", [[("none", NOTHING)], ENTRIES, SEVERAL[:4]], ids=len)
 @pytest.mark.parametrize("name", REPORT_FORMATS)
 def test_same_histograms_same_bytes(name, entries):
     assert render(name, entries) == render(name, entries)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", REPORT_FORMATS)
 def test_same_bytes_in_another_process_at_another_time(name, tmp_path):
     """Whatever the user's matplotlibrc, the time, the hash seed and the locale."""
@@ -398,6 +400,7 @@ def test_figure_grows_with_its_images(axes, count):
     assert 400 < width < 3700
 
 
+@pytest.mark.slow
 def test_figures_carry_no_time_and_no_version():
     import matplotlib
 

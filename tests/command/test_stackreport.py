@@ -53,6 +53,7 @@ def test_scale_of_a_preview_is_the_smallest_that_fits(size):
     assert scale == 1 or -(-max(size) // (scale - 1)) > PREVIEW_SIDE
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", REPORT_FORMATS)
 def test_same_bytes_in_another_process(name):
     code = (

@@ -997,6 +997,7 @@ def test_py_typed_is_in_the_installed_package():
     assert (Path(hpcomp.__file__).parent / "py.typed").is_file()
 
 
+@pytest.mark.slow
 def test_a_typed_script_passes_mypy_strict_against_the_installed_package(tmp_path):
     script = tmp_path / "script.py"
     script.write_text(USER_SCRIPT)

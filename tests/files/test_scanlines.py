@@ -503,6 +503,7 @@ class TestExrDamage:
         path = put(tmp_path / "b.exr", join_exr(attributes, [damaged, *others]))
         refused(path, "rows 0 to 0: their block is too short")
 
+    @pytest.mark.slow
     @pytest.mark.parametrize("compression", COMPRESSIONS)
     def test_at_random(self, tmp_path, compression):
         """An error or a layer, and the same one that OpenImageIO reads."""
@@ -765,6 +766,7 @@ class TestPngDamage:
             with pytest.raises(InputError, match="out of place"):
                 describe(str(path))
 
+    @pytest.mark.slow
     def test_at_random(self, tmp_path):
         """With checksums of chunks put right, or the decoder would never see the damage."""
         rng = np.random.default_rng(11)

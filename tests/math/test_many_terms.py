@@ -84,6 +84,7 @@ def sum_by_matrices(p, hue_tolerance):
     return ((1 - part)[:, None] * p).sum(axis=0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("hue_tolerance", [2, 60])
 @pytest.mark.parametrize("kind", ["anywhere", "labels", "a band"])
 def test_thousands_of_terms(kind, hue_tolerance):
