@@ -30,7 +30,7 @@ from ..measures.labels import (
     Support,
     contributors,
     measure_settings,
-    measured,
+    measures_of,
 )
 from ..options import OPTIONS, StackOptions, takes_options
 
@@ -437,7 +437,7 @@ def _outcome(
     p = contributing.reduced(rules)
     support = Support.of(p, contributing, settings)
     winner = int(support.winner(contributing, settings.half_step)[0])
-    _, provenance = measured(rules, settings, [np.asarray(pixel) for pixel in pixels])
+    _, provenance = measures_of(rules, settings, [np.asarray(pixel) for pixel in pixels])
     if not contributing.total()[0] > settings.half_step:
         kind = "colorless"
     elif not support.size[0] > settings.half_step:

@@ -14,7 +14,7 @@ from ..color.primaries import to_xyz, working_primaries
 from ..color.quantization import Losses
 from ..color.samples import Strip
 from ..errors import MismatchError
-from ..measures.labels import BLOCK_PIXELS, StackMeasures, measure_settings, measured
+from ..measures.labels import BLOCK_PIXELS, StackMeasures, measure_settings, measures_of
 from ..options import RuleOptions, stack_rules
 from . import choice as engine
 
@@ -141,5 +141,5 @@ def stack_measures(layers: Sequence[ArrayLike], **settings: Any) -> StackMeasure
     for begin in range(0, len(flat[0]), BLOCK_PIXELS):
         block = np.array([layer[begin : begin + BLOCK_PIXELS] for layer in flat], np.float32)
         np.clip(block[..., 3], 0, 1, out=block[..., 3])
-        total += measured(rules, checked, block)[0]
+        total += measures_of(rules, checked, block)[0]
     return total

@@ -19,8 +19,8 @@ from . import reference
 from .contract import Accumulator, Engine
 
 if TYPE_CHECKING:  # only reports need them
-    from ..measures.findings import MeasuredStrip, StackFindings
     from ..measures.labels import Provenance
+    from ..measures.summary import StackSummary, StripToMeasure
 
 #: The environment variable that chooses.
 VARIABLE = "HPCOMP_ENGINE"
@@ -96,13 +96,13 @@ def measuring(rules: StackRules) -> Engine:
     return engine if engine.measures(rules) else REFERENCE
 
 
-def result_and_findings(
-    accumulator: Accumulator, kind: str, losses: Losses, gamut: Primaries, strip: MeasuredStrip
-) -> tuple[Samples, StackFindings, Provenance | None]:
-    """What an accumulator of the active engine made, and the findings of the one that measures.
+def result_and_summary(
+    accumulator: Accumulator, kind: str, losses: Losses, gamut: Primaries, strip: StripToMeasure
+) -> tuple[Samples, StackSummary, Provenance | None]:
+    """What an accumulator of the active engine made, and the summary by the one that measures.
 
     `strip`: its layers are those that were added, all at once.
     """
     if active().measures(strip.rules):
-        return accumulator.result_and_findings(kind, losses, gamut, strip)
-    return accumulator.result(kind, losses, gamut), *REFERENCE.findings(strip)
+        return accumulator.result_and_summary(kind, losses, gamut, strip)
+    return accumulator.result(kind, losses, gamut), *REFERENCE.summary(strip)

@@ -16,8 +16,8 @@ from ..color.quantization import Losses
 from ..color.samples import Samples, Strip
 
 if TYPE_CHECKING:  # only reports need them
-    from ..measures.findings import MeasuredStrip, StackFindings
     from ..measures.labels import Provenance
+    from ..measures.summary import StackSummary, StripToMeasure
 
 
 class Accumulator(Protocol):
@@ -37,10 +37,10 @@ class Accumulator(Protocol):
         Codes are of that gamut, floats in the working primaries. To be asked for once.
         """
 
-    def result_and_findings(
-        self, kind: str, losses: Losses, gamut: Primaries, strip: MeasuredStrip
-    ) -> tuple[Samples, StackFindings, Provenance | None]:
-        """`result`, and `Engine.findings` of the same strip, in one pass where the engine can.
+    def result_and_summary(
+        self, kind: str, losses: Losses, gamut: Primaries, strip: StripToMeasure
+    ) -> tuple[Samples, StackSummary, Provenance | None]:
+        """`result`, and `Engine.summary` of the same strip, in one pass where the engine can.
 
         `strip`: its layers are those that were added, all at once.
         """
@@ -69,5 +69,5 @@ class Engine(Protocol):
     def measures(self, rules: StackRules) -> bool:
         """Whether it measures stacks of such rules; the reference measures all."""
 
-    def findings(self, strip: MeasuredStrip) -> tuple[StackFindings, Provenance | None]:
-        """The findings of a strip, and its provenance planes (height, width) where wanted."""
+    def summary(self, strip: StripToMeasure) -> tuple[StackSummary, Provenance | None]:
+        """The summary of a strip, and its provenance planes (height, width) where wanted."""

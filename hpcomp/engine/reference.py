@@ -21,8 +21,8 @@ from ..color.quantization import Losses
 from ..color.samples import Samples, Strip, cropped, encode, linear_rgba, spread
 
 if TYPE_CHECKING:  # only reports need them
-    from ..measures.findings import MeasuredStrip, StackFindings
     from ..measures.labels import Provenance
+    from ..measures.summary import StackSummary, StripToMeasure
 
 Array = NDArray[np.floating[Any]]
 
@@ -56,19 +56,19 @@ class ReferenceEngine:
         """It measures in every space."""
         return True
 
-    def findings(self, strip: MeasuredStrip) -> tuple[StackFindings, Provenance | None]:
-        """The findings of a strip, and its provenance planes (height, width) where wanted."""
-        from ..measures.findings import findings_of
+    def summary(self, strip: StripToMeasure) -> tuple[StackSummary, Provenance | None]:
+        """The summary of a strip, and its provenance planes (height, width) where wanted."""
+        from ..measures.summary import summary_of
 
         layers = []
         for layer in strip.strips:
             inside = cropped(layer, strip.width, strip.height)
             rgba, _ = linear_rgba(inside)
             layers.append(spread(rgba, inside.left, inside.top, strip.width, strip.height))
-        found, provenance = findings_of(strip.rules, strip.settings, layers, strip.bins)
+        summary, provenance = summary_of(strip.rules, strip.settings, layers, strip.bins)
         if not strip.with_provenance:
-            return found, None
-        return found, provenance.reshaped((strip.height, strip.width))
+            return summary, None
+        return summary, provenance.reshaped((strip.height, strip.width))
 
 
 ENGINE = ReferenceEngine()
@@ -99,11 +99,11 @@ class _Accumulator(ABC):
             rgba = self.composite().reshape(self.height, self.width, 4)
             return encode(rgba, kind, losses, self.rules.primaries, gamut)
 
-    def result_and_findings(
-        self, kind: str, losses: Losses, gamut: Primaries, strip: MeasuredStrip
-    ) -> tuple[Samples, StackFindings, Provenance | None]:
-        """The samples of the accumulated strip, and its findings."""
-        return self.result(kind, losses, gamut), *ENGINE.findings(strip)
+    def result_and_summary(
+        self, kind: str, losses: Losses, gamut: Primaries, strip: StripToMeasure
+    ) -> tuple[Samples, StackSummary, Provenance | None]:
+        """The samples of the accumulated strip, and its summary."""
+        return self.result(kind, losses, gamut), *ENGINE.summary(strip)
 
     def term(self, number: int, rgba: Array) -> tuple[Array, Array, Array, Array]:
         """As `terms.term`, of layer `number`."""

@@ -31,8 +31,8 @@ from ..errors import unknown_name
 from . import _kernel
 
 if TYPE_CHECKING:  # only reports need them
-    from ..measures.findings import MeasuredStrip, StackFindings
     from ..measures.labels import Provenance
+    from ..measures.summary import StackSummary, StripToMeasure
 
 #: Chooses an instruction set by name; the tests compare them.
 LEVEL_VARIABLE = "HPCOMP_KERNEL_LEVEL"
@@ -89,8 +89,8 @@ class KernelEngine:
         """It measures in linear spaces alone."""
         return rules.space.linear
 
-    def findings(self, strip: MeasuredStrip) -> tuple[StackFindings, Provenance | None]:
-        """The findings of a strip, and its provenance planes (height, width) where wanted."""
+    def summary(self, strip: StripToMeasure) -> tuple[StackSummary, Provenance | None]:
+        """The summary of a strip, and its provenance planes (height, width) where wanted."""
         from .measuring import StripMeasures
 
         measures, rules = StripMeasures(strip), strip.rules
@@ -101,7 +101,7 @@ class KernelEngine:
         _kernel.measure(
             rules=rules_of(rules), layers=layers, measures=measures.sums, level=chosen_level()
         )
-        return measures.findings()
+        return measures.summary()
 
 
 ENGINE = KernelEngine()
@@ -138,15 +138,15 @@ class Accumulator:
         """The composite (height, width, 4), as samples of that kind; codes are of that gamut."""
         return self._result(kind, losses, gamut)
 
-    def result_and_findings(
-        self, kind: str, losses: Losses, gamut: Primaries, strip: MeasuredStrip
-    ) -> tuple[Samples, StackFindings, Provenance | None]:
-        """The samples of the accumulated strip and its findings, from one pass."""
+    def result_and_summary(
+        self, kind: str, losses: Losses, gamut: Primaries, strip: StripToMeasure
+    ) -> tuple[Samples, StackSummary, Provenance | None]:
+        """The samples of the accumulated strip and its summary, from one pass."""
         from .measuring import StripMeasures
 
         measures = StripMeasures(strip)
         samples = self._result(kind, losses, gamut, measures.sums)
-        return samples, *measures.findings()
+        return samples, *measures.summary()
 
     def _result(
         self, kind: str, losses: Losses, gamut: Primaries, measures: _kernel.Measures | None = None

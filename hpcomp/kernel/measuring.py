@@ -1,8 +1,7 @@
-"""What the fused engine finds of a strip: the sums of `measure.h` as findings and provenance."""
+"""What the fused engine finds of a strip: the sums of `measure.h` as a summary and provenance."""
 
 from __future__ import annotations
 
-from ..measures.findings import MeasuredStrip, StackFindings
 from ..measures.histogram import HueHistogram
 from ..measures.labels import (
     Angle,
@@ -11,13 +10,14 @@ from ..measures.labels import (
     ResultMeasures,
     StackMeasures,
 )
+from ..measures.summary import StackSummary, StripToMeasure
 from . import _kernel
 
 
 class StripMeasures:
-    """What the loops add to, `sums`, of one strip, and the findings that it makes."""
+    """What the loops add to, `sums`, of one strip, and the summary that it makes."""
 
-    def __init__(self, strip: MeasuredStrip) -> None:
+    def __init__(self, strip: StripToMeasure) -> None:
         self._strip = strip
         self._provenance, planes = None, None
         if strip.with_provenance:
@@ -38,8 +38,8 @@ class StripMeasures:
             provenance=planes,
         )
 
-    def findings(self) -> tuple[StackFindings, Provenance | None]:
-        """The findings so far, and the provenance planes (height, width) where they are wanted."""
+    def summary(self) -> tuple[StackSummary, Provenance | None]:
+        """The summary so far, and the provenance planes (height, width) where they are wanted."""
         strip, sums = self._strip, self.sums
         measures = StackMeasures(
             strip.settings,
@@ -50,7 +50,7 @@ class StripMeasures:
             order_sensitive=sums.order_sensitive,
         )
         layers = range(len(strip.strips))
-        found = StackFindings(
+        found = StackSummary(
             measures,
             layers=tuple(self._histogram(sums.layer_hues(number=number)) for number in layers),
             result=self._histogram(sums.result_hues),

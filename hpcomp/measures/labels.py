@@ -262,7 +262,7 @@ class Provenance:
 # --- pixels ---------------------------------------------------------------------------------------
 
 
-def measured(
+def measures_of(
     rules: StackRules, settings: MeasureSettings, layers: Sequence[Array] | Array
 ) -> tuple[StackMeasures, Provenance]:
     """The measures of some pixels and their provenance.
@@ -276,7 +276,7 @@ def measured(
         block = slice(begin, min(begin + BLOCK_PIXELS, n_pixels))
         with np.errstate(all="ignore"):  # what is not finite is left out below
             pixels = contributors(rules, [layer[block] for layer in layers])
-        measures, winners = _measured_block(rules, settings, pixels)
+        measures, winners = _block_measures(rules, settings, pixels)
         total += measures
         where = np.arange(block.start, block.stop)[pixels.known]
         for name, values in vars(winners).items():
@@ -330,7 +330,7 @@ class Contributors:
 
 
 def contributors(rules: StackRules, layers: Sequence[Array]) -> Contributors:
-    """The contributors to pixels of a stack; `layers` as in `measured`."""
+    """The contributors to pixels of a stack; `layers` as in `measures_of`."""
     terms = weighted(rules, rules.space, layers)
     luminance, p, alpha = terms.luminance, terms.p, terms.alpha
     rgb, limits = None, terms.bounds
@@ -421,7 +421,7 @@ class Support:
         return np.where(survived, theirs.argmax(axis=0), -1)
 
 
-def _measured_block(
+def _block_measures(
     rules: StackRules, settings: MeasureSettings, pixels: Contributors
 ) -> tuple[StackMeasures, Provenance]:
     p = pixels.reduced(rules)

@@ -14,18 +14,18 @@ from ..geometry import Window
 from ..imagefile.writing import OutputForm
 
 if TYPE_CHECKING:  # only reports need them
-    from ..measures.findings import StackFindings
+    from ..measures.summary import StackSummary
 
 
 class Observer(Protocol):
     """Watches one picture: is asked for its needs, sees every strip, and tells at the end.
 
     `sees_layers`: whether it is given all layers of a strip, which then are in memory at once.
-    `findings`: what it found of the stack, None before the end.
+    `summary`: what it found of the stack, None before the end.
     """
 
     sees_layers: bool
-    findings: StackFindings | None
+    summary: StackSummary | None
 
     @property
     def outputs(self) -> Sequence[str]:
@@ -67,7 +67,7 @@ class NobodyWatches:
 
     outputs: Sequence[str] = ()
     sees_layers = False
-    findings: StackFindings | None = None
+    summary: StackSummary | None = None
 
     def place(self, opened: contextlib.ExitStack) -> None:
         pass

@@ -22,7 +22,7 @@ from ..system.outputs import check_places, whole_output
 from ..system.streams import STDOUT
 
 if TYPE_CHECKING:  # only reports need them
-    from ..measures.findings import StackFindings
+    from ..measures.summary import StackSummary
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class StackResult:
     canvas: Window
     data_window: Window
     losses: Losses
-    findings: StackFindings | None = None
+    findings: StackSummary | None = None
 
 
 @dataclass(frozen=True)

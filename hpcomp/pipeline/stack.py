@@ -149,4 +149,4 @@ def _made(plan: StackPlan, observer: Observer) -> StackResult:
         observer.publish()
     warn_of_zeroed([layer.reader for layer in plan.layers], plan.notices)
     warn_of_losses(request.shown, losses, plan.notices)
-    return StackResult(request.output, plan.canvas, plan.window, losses, observer.findings)
+    return StackResult(request.output, plan.canvas, plan.window, losses, observer.summary)

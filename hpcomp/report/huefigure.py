@@ -84,7 +84,7 @@ def _stack_saved(report: StackReport, format: str) -> bytes:
 
     Of more layers than a figure has room for, it shows the lower ones and says so.
     """
-    measures = report.findings.measures
+    measures = report.summary.measures
     notes = [
         f"hue survived in {percent(layer.survived_share)} of {layer.pixels:,} px, "
         f"lost to grey: {percent(layer.lost)} of chroma"

@@ -26,7 +26,6 @@ from ..geometry import Window
 from ..imagefile.exrscanlines import ExrForm, ExrScanlineWriter
 from ..imagefile.header import PictureHeader
 from ..imagefile.writing import OutputForm
-from ..measures.findings import MeasuredStrip, StackFindings
 from ..measures.histogram import DEFAULT_ACHROMATIC, DEFAULT_BINS, HueHistogram
 from ..measures.labels import (
     ENERGY_WEIGHTS,
@@ -35,6 +34,7 @@ from ..measures.labels import (
     half_step,
     measure_settings,
 )
+from ..measures.summary import StackSummary, StripToMeasure
 from ..options import StackOptions
 from ..system.outputs import whole_output, write_bytes
 from ..version import __version__
@@ -50,7 +50,7 @@ from .stackreport import (
 
 #: The planes of a provenance file, in the order of the file.
 _PLANES = (("grey", "float"), ("layer", "uint"), ("margin", "float"))
-#: What a histogram's bin takes, and a strip's findings are held so many times.
+#: What a histogram's bin takes, and a strip's summary is held so many times.
 _BIN_BYTES, _FINDINGS_HELD = 64, 4
 #: What measuring a block of pixels takes for each layer, in numpy.
 _BLOCK_BYTES = 1 << 19
@@ -64,7 +64,7 @@ class SeenStrip:
     """
 
     top: int
-    findings: StackFindings
+    summary: StackSummary
     provenance: Provenance | None
     pictures: tuple[Rgba, Rgba] | None
 
@@ -73,7 +73,7 @@ class Recorder:
     """Observes a stack: measures every strip, and writes reports and the provenance.
 
     `output`: what messages call the picture; `labels`: what reports call the layers, bottom first;
-    `command`: what reports say made it. `findings`: of the strips that were written so far.
+    `command`: what reports say made it. `summary`: of the strips that were written so far.
     Errors: `SettingError`; `OutputError` where a library is missing.
     """
 
@@ -112,7 +112,7 @@ class Recorder:
         if asked.provenance is not None:
             self.outputs.append(asked.provenance)
         self._places: dict[str, str] = {}
-        self.findings: StackFindings | None = None
+        self.summary: StackSummary | None = None
 
     def place(self, opened: contextlib.ExitStack) -> None:
         """Gives each file a place; they appear when `opened` closes in peace."""
@@ -137,7 +137,7 @@ class Recorder:
     ) -> Iterator[None]:
         """Around the pass over the strips of `window`."""
         self._rules, self._window, self._canvas = rules, window, canvas
-        self.findings = StackFindings.none(rules, self._settings, self._bins)
+        self.summary = StackSummary.none(rules, self._settings, self._bins)
         self._preview = _PreviewSums(window, rules.primaries) if self._with_preview else None
         self._provenance = None
         if self._provenance_path is not None:
@@ -163,7 +163,7 @@ class Recorder:
 
         `strips`: of all layers, bottom first.
         """
-        strip = MeasuredStrip(
+        strip = StripToMeasure(
             self._rules,
             self._settings,
             self._bins,
@@ -172,7 +172,7 @@ class Recorder:
             rows.height,
             with_provenance=self._provenance is not None or self._preview is not None,
         )
-        samples, findings, provenance = engine.result_and_findings(
+        samples, summary, provenance = engine.result_and_summary(
             accumulator, form.kind, losses, form.gamut, strip
         )
         pictures = None
@@ -182,12 +182,12 @@ class Recorder:
                 _composited(self._rules, strips, rows),
                 _composited(plain, strips, rows),
             )
-        return samples, SeenStrip(rows.y - self._window.y, findings, provenance, pictures)
+        return samples, SeenStrip(rows.y - self._window.y, summary, provenance, pictures)
 
     def write(self, seen: SeenStrip) -> None:
         """Adds a strip to those above it. Errors: `OutputError`."""
-        assert self.findings is not None
-        self.findings += seen.findings
+        assert self.summary is not None
+        self.summary += seen.summary
         if seen.provenance is None:
             return
         if self._provenance is not None:
@@ -201,7 +201,7 @@ class Recorder:
 
     def publish(self) -> None:
         """Completes the provenance, and writes the reports. Errors: `OutputError`."""
-        assert self.findings is not None
+        assert self.summary is not None
         if self._provenance is not None:
             self._provenance.finish()
         report = StackReport(
@@ -211,7 +211,7 @@ class Recorder:
             engine.active().name,
             self._settings_in_words(),
             self._labels,
-            self.findings,
+            self.summary,
             self._energy_weights,
             None if self._preview is None else self._preview.result(),
         )

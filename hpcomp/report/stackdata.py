@@ -48,7 +48,7 @@ JSON_KEYS: dict[str, str] = {
 def as_data(report: StackReport) -> dict[str, Any]:
     """The report as dictionaries, lists, strings and numbers."""
     common_axis(report.entries)
-    findings = report.findings
+    summary = report.summary
     return {
         "schema": SCHEMA,
         "version": SCHEMA_VERSION,
@@ -57,19 +57,19 @@ def as_data(report: StackReport) -> dict[str, Any]:
         "hpcomp": report.version,
         "engine": report.engine,
         "settings": dict(report.settings),
-        "measures": measures.as_data(findings.measures, report.labels, report.energy_weights),
-        "space": findings.result.space,
-        "bins": findings.result.bins,
-        "achromatic": findings.result.achromatic,
+        "measures": measures.as_data(summary.measures, report.labels, report.energy_weights),
+        "space": summary.result.space,
+        "bins": summary.result.bins,
+        "achromatic": summary.result.achromatic,
         "peak_radius": PEAK_RADIUS_DEG,
         "layers": [
             {"number": number, "label": label, **huedata.histogram_data(histogram)}
             for number, (label, histogram) in enumerate(
-                zip(report.labels, findings.layers, strict=True)
+                zip(report.labels, summary.layers, strict=True)
             )
         ],
-        "result": huedata.histogram_data(findings.result),
-        "traditional": huedata.histogram_data(findings.traditional),
+        "result": huedata.histogram_data(summary.result),
+        "traditional": huedata.histogram_data(summary.traditional),
     }
 
 
@@ -85,6 +85,6 @@ def as_csv(report: StackReport) -> bytes:
 
 def as_text(report: StackReport) -> bytes:
     """The measures as a table, then a chart for each histogram on one scale; UTF-8."""
-    table = measures.as_text(report.findings.measures, report.labels, report.energy_weights)
+    table = measures.as_text(report.summary.measures, report.labels, report.energy_weights)
     charts = text.as_text(report.entries, Look())
     return f"{printable(report.output)}\n\n{table}\n\n".encode() + charts

@@ -42,7 +42,7 @@ def result_name(report: StackReport) -> str:
 
 
 def _lead(report: StackReport) -> str:
-    measures = report.findings.measures
+    measures = report.summary.measures
     ours, plain = measures.result, measures.traditional
     if not plain.chromatic and not ours.chromatic:
         return "No pixel has a hue."
@@ -126,7 +126,7 @@ def _provenance(report: StackReport, preview: Preview) -> Node:
     counts = np.bincount(preview.provenance.ravel(), minlength=len(report.labels) + 1)
     images, rows = [], []
     for number, label in enumerate(report.labels):
-        color = layer_color(report.findings.layers[number])
+        color = layer_color(report.summary.layers[number])
         n_pixels = int(counts[number + 1])
         if n_pixels:
             images.append(
@@ -213,7 +213,7 @@ class _Measure:
 
 
 def _measures(report: StackReport) -> list[_Measure]:
-    measures = report.findings.measures
+    measures = report.summary.measures
     ours, plain = measures.result, measures.traditional
     red, green, blue = (f"{weight:g}" for weight in report.energy_weights)
     white = (measures.pixels - measures.unmeasured) * sum(report.energy_weights)
@@ -272,7 +272,7 @@ def _cards(report: StackReport) -> list[Node]:
 
 
 def _counts(report: StackReport) -> Node:
-    measures = report.findings.measures
+    measures = report.summary.measures
     sentences = [
         f"Of {measures.pixels:,} pixels, {measures.result.chromatic:,} have a hue in the result "
         f"and {measures.traditional.chromatic:,} in the {TRADITIONAL} one."
@@ -299,8 +299,8 @@ def _bar(value: float) -> Node:
 
 
 def _hues(report: StackReport) -> Node:
-    findings = report.findings
-    results = [(result_name(report), findings.result), (TRADITIONAL, findings.traditional)]
+    summary = report.summary
+    results = [(result_name(report), summary.result), (TRADITIONAL, summary.traditional)]
     # A scale of their own: layers are often one bar, beside which a smear would be flat.
     charts = Charts(results, Look())
     figures = [charts.figure(_title(name), histogram, LARGE) for name, histogram in results]
@@ -316,22 +316,20 @@ def _title(name: str) -> str:
 
 
 def _layers(report: StackReport) -> Node:
-    findings = report.findings
-    charts = Charts(list(zip(report.labels, findings.layers, strict=True)), Look())
+    summary = report.summary
+    charts = Charts(list(zip(report.labels, summary.layers, strict=True)), Look())
     heads = ("Layer", "Peaks", "Pixels", "Hue survived", "Lost to grey")
     rows = [
         _layer_row(
             h.fragment[swatch(layer_color(histogram)), layer_name(number, label)],
-            findings.measures.result.layers[number],
-            findings.measures.traditional.layers[number],
+            summary.measures.result.layers[number],
+            summary.measures.traditional.layers[number],
             peak_list(histogram) if histogram.chromatic else h.span["no hue"],
             heads,
         )
-        for number, (label, histogram) in enumerate(
-            zip(report.labels, findings.layers, strict=True)
-        )
+        for number, (label, histogram) in enumerate(zip(report.labels, summary.layers, strict=True))
     ]
-    ours, plain = findings.measures.result.background, findings.measures.traditional.background
+    ours, plain = summary.measures.result.background, summary.measures.traditional.background
     if ours.chroma:
         rows.append(_layer_row("background", ours, plain, "", heads))
     table = h.table(role="table")[
@@ -348,9 +346,7 @@ def _layers(report: StackReport) -> Node:
     ]
     figures = [
         charts.figure(layer_name(number, label), histogram, SMALL)
-        for number, (label, histogram) in enumerate(
-            zip(report.labels, findings.layers, strict=True)
-        )
+        for number, (label, histogram) in enumerate(zip(report.labels, summary.layers, strict=True))
     ]
     return lines(
         table,

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import MismatchError, unknown_name
-from ..measures.findings import StackFindings
+from ..measures.summary import StackSummary
 from .look import Entry
 
 #: The longest side of a preview: enough to see labels, and a page that can be sent by mail.
@@ -46,7 +46,7 @@ class StackReport:
     of the engine that ran. `settings`: what was chosen, name to text, in the order to be shown;
     `blending` among them is what pages call the result. `labels`: of the layers, bottom first.
     `energy_weights`: of red, green and blue. `preview`: for formats that show pictures.
-    Errors: `MismatchError` where labels and findings are of different numbers of layers.
+    Errors: `MismatchError` where labels and summary are of different numbers of layers.
     """
 
     output: str
@@ -55,25 +55,25 @@ class StackReport:
     engine: str
     settings: Mapping[str, str]
     labels: tuple[str, ...]
-    findings: StackFindings
+    summary: StackSummary
     energy_weights: tuple[float, float, float]
     preview: Preview | None = None
 
     def __post_init__(self) -> None:
-        if len(self.labels) != len(self.findings.layers):
+        if len(self.labels) != len(self.summary.layers):
             raise MismatchError(
-                f"{len(self.labels)} labels for the findings of {len(self.findings.layers)} "
+                f"{len(self.labels)} labels for the findings of {len(self.summary.layers)} "
                 "layers: give one for each"
             )
 
     @property
     def entries(self) -> list[Entry]:
         """The histograms, as a report of hues has them: layers, result, traditional result."""
-        findings = self.findings
+        summary = self.summary
         return [
-            *zip(self.labels, findings.layers, strict=True),
-            ("result", findings.result),
-            ("traditional", findings.traditional),
+            *zip(self.labels, summary.layers, strict=True),
+            ("result", summary.result),
+            ("traditional", summary.traditional),
         ]
 
 

@@ -21,7 +21,7 @@ import pytest
 from command import OLD, Desk, shell, snapshot
 from processes import assert_ended, running, temporary_of
 from strategies import ORDER_NAMES
-from test_findings import ENGINES, TIES
+from test_summary import ENGINES, TIES
 
 import hpcomp
 from hpcomp import MismatchError, OutputError, SettingError
@@ -355,7 +355,7 @@ def expected_provenance(here, half_step, **rules):
     """(h, w) planes of the reference on arrays."""
     checked = stack_rules(3, opacity=OPACITIES, **rules)
     settings = measures.measure_settings(checked, half_step=half_step)
-    _, found = measures.measured(checked, settings, arrays(here).reshape(3, -1, 4))
+    _, found = measures.measures_of(checked, settings, arrays(here).reshape(3, -1, 4))
     return {name: plane.reshape(HEIGHT, WIDTH) for name, plane in vars(found).items()}
 
 

@@ -240,7 +240,7 @@ def test_command_that_is_plain_is_shown_as_it_is():
 
 def test_numbers_of_a_stack():
     read = Page(PAGES["stack"])
-    found = REPORT.findings.measures
+    found = REPORT.summary.measures
     said = read.texts["dd"]
     for result in (found.result, found.traditional):
         for value in (result.foreign_share, result.foreign_chroma_share, result.lost):
@@ -257,7 +257,7 @@ def test_numbers_of_a_stack():
 
 def test_lead_of_what_loses_hues():
     report = report_of(blending="traditional")
-    share = percent(report.findings.measures.result.foreign_share)
+    share = percent(report.summary.measures.result.foreign_share)
     header = Page(as_html(report)).texts["header"]
     assert f"{share} of the coloured pixels have a hue that nothing there gave them" in header
     grey = Page(as_html(report_of([LAYERS[0]] * 2, ["a", "b"]))).texts["header"]
@@ -272,7 +272,7 @@ def test_rows_of_layers():
     for name in ("base.png", "red.png", "roads: yellow.png", "blue.exr"):
         assert name in read.texts["th"]
     assert "layer 0" not in read.texts["th"]
-    found = REPORT.findings.measures.result.layers[2]
+    found = REPORT.summary.measures.result.layers[2]
     for words in (f"{found.pixels:,}", percent(found.survived_share), percent(found.lost)):
         assert words in read.texts["td"]
     assert "background" not in read.texts["th"]
@@ -301,7 +301,7 @@ def test_pictures_are_those_of_the_preview():
     for layer, picture in zip(numbers, masks, strict=True):
         seen = picture[..., 3] > 0
         whole[seen] = layer + 1
-        color = bytes.fromhex(layer_color(REPORT.findings.layers[layer])[1:])
+        color = bytes.fromhex(layer_color(REPORT.summary.layers[layer])[1:])
         assert (picture[seen] == (*color, 255)).all()
     assert np.array_equal(whole, REPORT.preview.provenance)
     assert "4 × 4 of the picture" in read.texts["main"]
@@ -366,7 +366,7 @@ def test_bars_are_as_high_as_their_shares():
 
 def test_peaks_are_told_in_words():
     read = Page(PAGES["stack"])
-    found = REPORT.findings.result
+    found = REPORT.summary.result
     for peak in found.peaks:
         assert f"{peak.hue:.1f}°: {percent(peak.share)} of the pixels with a hue" in read.texts["title"]
         assert f" {peak.hue:.1f}° {percent(peak.share)}" in read.texts["li"]
@@ -586,7 +586,7 @@ def test_layers_of_the_map_are_shown_and_hidden_by_keys(tab, files):
 @needs_browser
 def test_chart_is_read_by_keys_and_mouse(tab, files):
     tab.open(files / "stack.html")
-    found = REPORT.findings.traditional
+    found = REPORT.summary.traditional
     plot = "document.querySelectorAll('.plot')[1]"
     readout = "document.querySelectorAll('.readout')[1].textContent"
     tab.value(f"{plot}.scrollIntoView({{block: 'center'}})")

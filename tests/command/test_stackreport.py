@@ -89,7 +89,7 @@ def test_json_document():
     assert (document["output"], document["command"]) == (REPORT.output, REPORT.command)
     assert (document["hpcomp"], document["engine"]) == ("1.2.3", "kernel")
     assert document["settings"] == {"blending": "hue-preserving", "order": "bottom-up"}
-    found = REPORT.findings
+    found = REPORT.summary
     assert document["measures"] == measures.as_data(found.measures, LABELS)
     assert document["measures"]["result"]["foreign_share"] == 0
     assert document["measures"]["traditional"]["foreign_share"] > 0.1
@@ -129,7 +129,7 @@ def test_energy_weights_are_those_of_the_report():
     chosen = replace(REPORT, energy_weights=(1.0, 0.0, 0.0))
     found = stackdata.as_data(chosen)["measures"]
     assert found["energy_weights"] == [1, 0, 0]
-    assert found["result"]["energy"] == REPORT.findings.measures.result.energy((1, 0, 0))
+    assert found["result"]["energy"] == REPORT.summary.measures.result.energy((1, 0, 0))
 
 
 def test_csv_has_the_rows_of_all_histograms():
@@ -137,7 +137,7 @@ def test_csv_has_the_rows_of_all_histograms():
     assert list(dict.fromkeys(row["image"] for row in rows)) == NAMES
     assert len(rows) == len(NAMES) * (360 + 3)
     result = [int(row["count"]) for row in rows if row["image"] == "result" and row["kind"] == "hue"]
-    assert result == REPORT.findings.result.count.tolist()
+    assert result == REPORT.summary.result.count.tolist()
 
 
 # ---- text and figures ------------------------------------------------------------------------
@@ -146,7 +146,7 @@ def test_csv_has_the_rows_of_all_histograms():
 def test_text_is_the_measures_and_a_chart_of_each():
     text = render_stack_report(REPORT, "text").decode()
     assert text.startswith("map.png\n\n")
-    assert measures.as_text(REPORT.findings.measures, LABELS) in text
+    assert measures.as_text(REPORT.summary.measures, LABELS) in text
     for name in NAMES:
         assert f"\n{name}\n  1,536 pixels: " in text
 
@@ -162,7 +162,7 @@ def test_figure_says_what_became_of_hues(monkeypatch):
 
     monkeypatch.setattr(figure._Sheet, "_text", spy)
     render_stack_report(REPORT, "svg")
-    found = REPORT.findings.measures
+    found = REPORT.summary.measures
     for result in (found.result, found.traditional):
         (line,) = [text for text in said if text.startswith(f"foreign hue: {percent(result.foreign_share)} of pixels")]
         assert line.endswith(f"lost to grey: {percent(result.lost)} of chroma")

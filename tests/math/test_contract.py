@@ -75,7 +75,7 @@ import sys
 import numpy as np
 import hpcomp
 hpcomp.composite([np.zeros((2, 3, 4), np.float32)] * 2)
-print(sorted({"hpcomp.measures.findings", "hpcomp.kernel.measuring"} & set(sys.modules)))
+print(sorted({"hpcomp.measures.summary", "hpcomp.kernel.measuring"} & set(sys.modules)))
 """
     for name in ENGINES:
         done = subprocess.run(

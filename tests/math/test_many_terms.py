@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from command import PATIENCE_S
 from strategies import color_of, hue_direction
-from test_findings import assert_agree, strips_of
 from test_kernel import run_arrays
+from test_summary import assert_agree, strips_of
 
 from hpcomp.engine import choice as engine
 from hpcomp.engine import reference

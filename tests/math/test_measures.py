@@ -37,7 +37,7 @@ def provenance(layers, op="plus", half_step=measures.HALF_STEP_FINE, **settings)
     rules = stack_rules(len(layers), op=[None, *[op] * (len(layers) - 1)], **settings)
     chosen = measures.measure_settings(rules, half_step=half_step)
     arrays = np.array(layers, np.float32)
-    return measures.measured(rules, chosen, arrays)[1]
+    return measures.measures_of(rules, chosen, arrays)[1]
 
 
 # ---- closed forms ------------------------------------------------------------------------------
@@ -168,7 +168,7 @@ def test_the_background_contributes_and_has_no_number():
     assert below.lost == pytest.approx(0.1 / 0.15, abs=NEAR)
     assert found.result.layers[0].lost == 1
     assert found.result.foreign == 0
-    where = measures.measured(
+    where = measures.measures_of(
         stack_rules(1, background=background),
         measures.measure_settings(stack_rules(1)),
         np.array([layer], np.float32),
@@ -341,10 +341,10 @@ def test_blocks_do_not_show(monkeypatch):
     layers[1, 7] = np.nan
     whole = hpcomp.stack_measures(layers)
     rules = stack_rules(3)
-    planes = measures.measured(rules, measures.measure_settings(rules), layers)[1]
+    planes = measures.measures_of(rules, measures.measure_settings(rules), layers)[1]
     monkeypatch.setattr(measures, "BLOCK_PIXELS", 8)
     assert hpcomp.stack_measures(layers) == whole
-    blocks = measures.measured(rules, measures.measure_settings(rules), layers)[1]
+    blocks = measures.measures_of(rules, measures.measure_settings(rules), layers)[1]
     for name, plane in vars(planes).items():
         assert np.array_equal(plane, getattr(blocks, name)), name
 
@@ -498,7 +498,7 @@ def test_measures_and_provenance_agree_with_the_literal_ones(stack):
     n = len(layers)
     checked = stack_rules(n, **rules)
     settings = measures.measure_settings(checked, **own)
-    found, planes = measures.measured(checked, settings, layers)
+    found, planes = measures.measures_of(checked, settings, layers)
     pixels = [
         literal(
             [tuple(map(float, layers[i, x])) for i in range(n)],

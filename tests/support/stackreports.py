@@ -11,8 +11,8 @@ import numpy as np
 
 import hpcomp
 from hpcomp.color.quantization import Losses, to_straight_srgb
-from hpcomp.measures.findings import findings_of
 from hpcomp.measures.labels import ENERGY_WEIGHTS, measure_settings
+from hpcomp.measures.summary import summary_of
 from hpcomp.options import stack_rules
 from hpcomp.report.stackreport import Preview, StackReport
 
@@ -60,7 +60,7 @@ def report_of(
     """The report of a stack of arrays, as the pipeline makes it of files."""
     checked = stack_rules(len(layers), **rules)
     flat = [layer.reshape(-1, 4) for layer in layers]
-    findings, provenance = findings_of(checked, measure_settings(checked), flat, bins)
+    summary, provenance = summary_of(checked, measure_settings(checked), flat, bins)
     shape = layers[0].shape[:2]
 
     def shown(blending: str) -> np.ndarray:
@@ -77,7 +77,7 @@ def report_of(
         engine="kernel",
         settings={"blending": checked.blending.name, "order": checked.order.name},
         labels=tuple(labels),
-        findings=findings,
+        summary=summary,
         energy_weights=ENERGY_WEIGHTS,
         preview=pictures if preview else None,
     )

@@ -37,10 +37,10 @@ from hpcomp.engine import reference
 from hpcomp.errors import SettingError
 from hpcomp.kernel import _kernel
 from hpcomp.kernel import fused as kernel
-from hpcomp.measures import findings
 from hpcomp.measures import labels as measures
-from hpcomp.measures.findings import MeasuredStrip
+from hpcomp.measures import summary
 from hpcomp.measures.histogram import HueHistogram, hue_histogram
+from hpcomp.measures.summary import StripToMeasure
 from hpcomp.options import stack_rules
 
 ENGINES = {"kernel": kernel.ENGINE, "reference": reference.ENGINE}
@@ -58,7 +58,7 @@ def both(rules, strips, width, height, *, bins=360, **settings):
     chosen = measures.measure_settings(rules, **settings)
     with np.errstate(all="ignore"):
         return tuple(
-            by.findings(MeasuredStrip(rules, chosen, bins, strips, width, height, True))
+            by.summary(StripToMeasure(rules, chosen, bins, strips, width, height, True))
             for by in ENGINES.values()
         )
 
@@ -293,7 +293,7 @@ def test_every_instruction_set_finds_the_same_bits(monkeypatch, order):
         found.append(
             [
                 everything(
-                    kernel.ENGINE.findings(MeasuredStrip(rules, settings, 360, strips_of(layers), 700, 3, True))
+                    kernel.ENGINE.summary(StripToMeasure(rules, settings, 360, strips_of(layers), 700, 3, True))
                 )
                 for layers in (LAYERS, broken(LAYERS))
             ]
@@ -302,7 +302,7 @@ def test_every_instruction_set_finds_the_same_bits(monkeypatch, order):
     assert all(other == found[0] for other in found)
     monkeypatch.setenv(kernel.LEVEL_VARIABLE, "v9")
     with pytest.raises(SettingError, match="unknown instruction set"):
-        kernel.ENGINE.findings(MeasuredStrip(rules, settings, 360, strips_of(LAYERS), 700, 3))
+        kernel.ENGINE.summary(StripToMeasure(rules, settings, 360, strips_of(LAYERS), 700, 3))
 
 
 @pytest.mark.parametrize("name", ENGINES)
@@ -314,7 +314,7 @@ def test_parts_add_up_to_the_whole_exactly(name, order):
     layers = layers_of_labels(4, 7, 530)
 
     def found(rows, columns):
-        strip = MeasuredStrip(
+        strip = StripToMeasure(
             rules,
             settings,
             360,
@@ -324,11 +324,11 @@ def test_parts_add_up_to_the_whole_exactly(name, order):
             rows.stop - rows.start,
             True,
         )
-        return by.findings(strip)
+        return by.summary(strip)
 
     whole, planes = found(slice(0, 7), slice(0, 530))
     for height, width in ((1, 530), (2, 530), (3, 530), (5, 100), (7, 1000)):
-        total = findings.StackFindings.none(rules, settings, 360)
+        total = summary.StackSummary.none(rules, settings, 360)
         for top, left in itertools.product(range(0, 7, height), range(0, 530, width)):
             place = slice(top, min(top + height, 7)), slice(left, min(left + width, 530))
             part, of_part = found(*place)
@@ -347,7 +347,7 @@ def test_findings_beside_a_result_change_neither(name, order, monkeypatch):
     monkeypatch.setenv(engine.VARIABLE, name)
     rules = stack_rules(4, order=order, background=RED, opacity=[1, 0.5, 1, 0.25])
     strips = strips_of(broken(LAYERS))
-    strip = MeasuredStrip(rules, measures.measure_settings(rules), 90, strips, 700, 3, True)
+    strip = StripToMeasure(rules, measures.measure_settings(rules), 90, strips, 700, 3, True)
 
     def accumulated():
         accumulator = engine.start(rules, 700, 3)
@@ -358,8 +358,8 @@ def test_findings_beside_a_result_change_neither(name, order, monkeypatch):
     alone, lost = Losses(), Losses()
     with np.errstate(all="ignore"):
         samples = accumulated().result("uint8", alone)
-        beside, *found = engine.result_and_findings(accumulated(), "uint8", lost, REC709, strip)
-        expected, planes = engine.measuring(rules).findings(strip)
+        beside, *found = engine.result_and_summary(accumulated(), "uint8", lost, REC709, strip)
+        expected, planes = engine.measuring(rules).summary(strip)
     assert beside.tobytes() == samples.tobytes()
     assert (lost, found[0]) == (alone, expected)
     for plane, other in zip(vars(found[1]).values(), vars(planes).values(), strict=True):
@@ -368,10 +368,10 @@ def test_findings_beside_a_result_change_neither(name, order, monkeypatch):
 
 def test_findings_of_no_pixel_and_of_other_settings():
     rules = stack_rules(2)
-    none = findings.StackFindings.none(rules, measures.measure_settings(rules), 360)
+    none = summary.StackSummary.none(rules, measures.measure_settings(rules), 360)
     assert none + none == none
     assert (none.result.pixels, none.measures.pixels) == (0, 0)
-    other = findings.StackFindings.none(
+    other = summary.StackSummary.none(
         rules, measures.measure_settings(rules, foreign_tolerance=1), 360
     )
     with pytest.raises(SettingError, match="do not add up"):
@@ -382,36 +382,36 @@ def test_findings_of_no_pixel_and_of_other_settings():
 def test_findings_are_those_of_measures_and_histograms(name):
     rules = stack_rules(4, opacity=[1, 0.5, 1, 0.25])
     settings = measures.measure_settings(rules, foreign_tolerance=3.0)
-    found, planes = ENGINES[name].findings(MeasuredStrip(rules, settings, 90, strips_of(LAYERS), 700, 3))
+    found, planes = ENGINES[name].summary(StripToMeasure(rules, settings, 90, strips_of(LAYERS), 700, 3))
     assert planes is None
     for histogram, layer, opacity in zip(found.layers, LAYERS, rules.opacities, strict=True):
         assert histogram == hue_histogram(layer * np.float32(opacity), bins=90)
     if name == "reference":
         flat = LAYERS.reshape(4, -1, 4)
-        assert found.measures == measures.measured(rules, settings, flat)[0]
+        assert found.measures == measures.measures_of(rules, settings, flat)[0]
 
 
 def test_the_engine_that_is_chosen_finds(monkeypatch):
     rules = stack_rules(4)
-    strip = MeasuredStrip(
+    strip = StripToMeasure(
         rules, measures.measure_settings(rules), 360, strips_of(LAYERS), 700, 3, True
     )
     for name, by in ENGINES.items():
         monkeypatch.setenv(engine.VARIABLE, name)
         assert engine.measuring(rules) is by
-        assert everything(engine.measuring(rules).findings(strip)) == everything(by.findings(strip))
+        assert everything(engine.measuring(rules).summary(strip)) == everything(by.summary(strip))
 
 
 @pytest.mark.parametrize("name", ENGINES)
 @pytest.mark.parametrize("blending", BLENDING_NAMES)
 def test_every_blending_is_measured(monkeypatch, name, blending):
     rules = stack_rules(4, blending=blending, op="dst-over", background=RED)
-    strip = MeasuredStrip(
+    strip = StripToMeasure(
         rules, measures.measure_settings(rules), 360, strips_of(LAYERS), 700, 3, True
     )
     monkeypatch.setenv(engine.VARIABLE, name)
-    ours, planes = engine.measuring(rules).findings(strip)
-    theirs, their_planes = reference.ENGINE.findings(strip)
+    ours, planes = engine.measuring(rules).summary(strip)
+    theirs, their_planes = reference.ENGINE.summary(strip)
     for found, expected in zip(ours.measures.result.layers, theirs.measures.result.layers, strict=True):
         assert abs(found.survived - expected.survived) <= TIES
         assert found.kept == pytest.approx(expected.kept, rel=SUMS)
@@ -438,7 +438,7 @@ def test_three_labels_at_random_opacities_stay_three_hues(name, order):
     alphas = np.random.default_rng(9).random((3, 60, 80))
     rules = stack_rules(3, order=order)
     settings = measures.measure_settings(rules)
-    found, _ = ENGINES[name].findings(MeasuredStrip(rules, settings, 360, strips_of(labels(alphas)), 80, 60))
+    found, _ = ENGINES[name].summary(StripToMeasure(rules, settings, 360, strips_of(labels(alphas)), 80, 60))
     lines = [set(np.flatnonzero(layer.count)) for layer in found.layers]
     assert [len(line) for line in lines] == [1, 1, 1]
     assert set(np.flatnonzero(found.result.count)) == set.union(*lines)
@@ -457,7 +457,7 @@ def test_halves_of_one_label_each(name):
     layers = labels(alphas, HUES[:2])
     rules = stack_rules(2)
     settings = measures.measure_settings(rules)
-    found, planes = ENGINES[name].findings(MeasuredStrip(rules, settings, 360, strips_of(layers), 700, 4, True))
+    found, planes = ENGINES[name].summary(StripToMeasure(rules, settings, 360, strips_of(layers), 700, 4, True))
     for k, pixels in enumerate((1200, 1600)):
         histogram, layer = found.layers[k], found.measures.result.layers[k]
         assert (histogram.chromatic, histogram.transparent) == (pixels, 2800 - pixels)
@@ -479,7 +479,7 @@ def test_provenance_of_two_labels_that_meet(name):
     layers = labels(alphas, (0.0, 180.0))
     rules = stack_rules(2, op="plus")
     settings = measures.measure_settings(rules)
-    _, planes = ENGINES[name].findings(MeasuredStrip(rules, settings, 360, strips_of(layers), 600, 1, True))
+    _, planes = ENGINES[name].summary(StripToMeasure(rules, settings, 360, strips_of(layers), 600, 1, True))
     chroma = [np.hypot(*rules.space.forward(layer[0, :1, :3].T)[1])[0] for layer in layers]
     assert (planes.layer == 1 + int(np.argmax(chroma))).all()
     small, big = sorted(chroma)

@@ -23,7 +23,7 @@ from .labels import (
     StackMeasures,
     Sums,
     contributors,
-    measured,
+    measures_of,
     summed,
 )
 
@@ -31,8 +31,8 @@ Array = NDArray[np.float32]
 
 
 @dataclass(frozen=True)
-class StackFindings(Sums):
-    """The findings of a stack or of a part of it; `a + b` are those of both parts.
+class StackSummary(Sums):
+    """The measures and histograms of a stack or of a part of it; `a + b` is that of both.
 
     `layers`: the histogram of each layer, bottom first, at its opacity and as far as it lies on the
     canvas. `result` and `traditional`: of the stack as it is blended and by plain +, over the
@@ -45,35 +45,35 @@ class StackFindings(Sums):
     traditional: HueHistogram
 
     @staticmethod
-    def none(rules: StackRules, settings: MeasureSettings, bins: int) -> StackFindings:
-        """The findings of no pixel, to add others to."""
+    def none(rules: StackRules, settings: MeasureSettings, bins: int) -> StackSummary:
+        """The summary of no pixel, to add others to."""
         empty = HueHistogram.empty(bins, rules.space.name, settings.achromatic)
-        return StackFindings(
+        return StackSummary(
             StackMeasures.none(rules, settings), (empty,) * len(rules.operators), empty, empty
         )
 
 
-def findings_of(
+def summary_of(
     rules: StackRules,
     settings: MeasureSettings,
     layers: Sequence[Array],
     bins: int = DEFAULT_BINS,
-) -> tuple[StackFindings, Provenance]:
-    """The findings of some pixels, and their provenance.
+) -> tuple[StackSummary, Provenance]:
+    """The summary of some pixels, and their provenance.
 
     `layers`: (layers, pixels, 4) float32, linear, premultiplied, placed, alpha in [0, 1].
     """
-    measures, provenance = measured(rules, settings, layers)
-    total = StackFindings.none(rules, settings, bins)
+    measures, provenance = measures_of(rules, settings, layers)
+    total = StackSummary.none(rules, settings, bins)
     for begin in range(0, len(layers[0]), BLOCK_PIXELS):
         block = [layer[begin : begin + BLOCK_PIXELS] for layer in layers]
         with np.errstate(all="ignore"):  # NaN and Inf are counted, not judged
             total += _histograms(rules, settings, block, bins)
-    return StackFindings(measures, total.layers, total.result, total.traditional), provenance
+    return StackSummary(measures, total.layers, total.result, total.traditional), provenance
 
 
 @dataclass(frozen=True)
-class MeasuredStrip:
+class StripToMeasure:
     """All layers of a strip, bottom first, and what is to be found of them.
 
     `width`, `height`: of the strip, in pixels. `with_provenance`: whether that is wanted.
@@ -90,7 +90,7 @@ class MeasuredStrip:
 
 def _histograms(
     rules: StackRules, settings: MeasureSettings, layers: Sequence[Array], bins: int
-) -> StackFindings:
+) -> StackSummary:
     def counted(rgba: Any) -> HueHistogram:
         return hue_histogram(rgba, bins=bins, space=rules.space, achromatic=settings.achromatic)
 
@@ -104,7 +104,7 @@ def _histograms(
         rgb = rules.space.inverse(summed(pixels.luminance), p)
         rgba[pixels.known] = np.concatenate([rgb, alpha[None]]).T
         results.append(counted(rgba))
-    return StackFindings(
+    return StackSummary(
         StackMeasures.none(rules, settings),
         tuple(counted(rgba * opacity) for rgba, opacity in zip(layers, opacities, strict=True)),
         *results,
