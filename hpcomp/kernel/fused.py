@@ -241,42 +241,42 @@ def _background(rules: StackRules) -> _kernel.Background | None:
     return _kernel.background(luminance=float(luminance[0]), p=p[:, 0].tolist(), lo=lo, hi=hi)
 
 
-def _maps(found: Coefficients) -> _kernel.SpaceMaps:
+def _maps(coefficients: Coefficients) -> _kernel.SpaceMaps:
     """The maps of a space."""
-    match found:
+    match coefficients:
         case PlaneCoefficients():
-            return _kernel.linear_maps(**_plane(found))
+            return _kernel.linear_maps(**_plane(coefficients))
         case HslCoefficients(plane=plane):
             return _kernel.hsl_maps(**_plane(plane))
-    weight_red, weight_blue = found.weights
-    match found:
+    weight_red, weight_blue = coefficients.weights
+    match coefficients:
         case OklabCoefficients():
             return _kernel.oklab_maps(
                 weight_red=weight_red,
                 weight_blue=weight_blue,
-                to_lms=found.to_lms,
-                to_lab=found.to_lab,
-                to_roots=found.to_roots,
-                from_lms=found.from_lms,
-                inverse_largest=1 / found.largest,
+                to_lms=coefficients.to_lms,
+                to_lab=coefficients.to_lab,
+                to_roots=coefficients.to_roots,
+                from_lms=coefficients.from_lms,
+                inverse_largest=1 / coefficients.largest,
             )
         case CielabCoefficients():
             return _kernel.cielab_maps(
                 weight_red=weight_red,
                 weight_blue=weight_blue,
-                to_xz=found.to_xz,
-                from_xz=found.from_xz,
-                inverse_largest=1 / found.largest,
+                to_xz=coefficients.to_xz,
+                from_xz=coefficients.from_xz,
+                inverse_largest=1 / coefficients.largest,
             )
 
 
-def _plane(found: PlaneCoefficients) -> dict[str, Any]:
-    weight_red, weight_blue = found.weights
+def _plane(coefficients: PlaneCoefficients) -> dict[str, Any]:
+    weight_red, weight_blue = coefficients.weights
     return {
         "weight_red": weight_red,
         "weight_blue": weight_blue,
-        "to_p": found.to_p,
-        "from_p": found.from_p,
+        "to_p": coefficients.to_p,
+        "from_p": coefficients.from_p,
     }
 
 

@@ -50,13 +50,13 @@ class StripMeasures:
             order_sensitive=sums.order_sensitive,
         )
         layers = range(len(strip.strips))
-        found = StackSummary(
+        summary = StackSummary(
             measures,
             layers=tuple(self._histogram(sums.layer_hues(number=number)) for number in layers),
             result=self._histogram(sums.result_hues),
             traditional=self._histogram(sums.traditional_hues),
         )
-        return found, self._provenance
+        return summary, self._provenance
 
     def _histogram(self, hues: _kernel.HueSums) -> HueHistogram:
         return HueHistogram(

@@ -1,4 +1,4 @@
-"""What a report of a stack is made from: its measures, and the hue histograms beside them.
+"""What a report of a stack is made from: its measures and hue histograms. No text, no pictures.
 
 Found in numpy here, of pixels that are decoded and placed; which engine finds them of strips is
 `engine`'s matter. Parts of a picture add up to the whole.
