@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from ..blending.rules import StackRules
 from ..color.planes import is_saturated, length, spread_and_size
+from ..color.primaries import working_primaries
 from ..color.samples import Decoding, Rgba, Samples, Strip, cropped, decode, linear_rgba, spread
 from ..color.spaces import Space
 from ..errors import MismatchError, SettingError
@@ -277,6 +278,7 @@ def check(
         for name in _OF_LAYERS:
             if checked[name] != DEFAULTS[name]:
                 raise SettingError(f"--{name} is about layers: a check against --hues has none")
+        working_primaries(checked.rules.primaries)  # there is no bottom to take them from
         rules = checked.rules.of_layers([None], [1.0])
         degrees = parse_hues(hues)
         labels = [ExpectedHue(f"hue {hue:g}", None, hue) for hue in degrees]
