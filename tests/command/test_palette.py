@@ -329,7 +329,7 @@ def test_names_and_colours():
         (["#f00", "#0f0"], {"opacity": 1.5}, "opacity 1.5 is outside 0 to 1"),
         (["#f00", "#0f0"], {"close_hues": math.nan}, "close hues nan is outside 0 to 180"),
         (["#f00", "#0f0"], {"least_difference": -1}, "least difference -1 is outside"),
-        (["#f00", "#0f0"], {"grey_opacity": 2}, "grey opacity 2 is outside"),
+        (["#f00", "#0f0"], {"grey_opacity": 2}, "gray opacity 2 is outside"),
         (["#f00", "#0f0"], {"achromatic": 2}, "achromatic saturation 2 is outside"),
         (["#f00", "#0f0"], {"blending": "traditional"}, "what others are compared with"),
         (["#f00", "#0f0"], {"blending": "none"}, "unknown blending 'none'"),

@@ -63,7 +63,7 @@ def test_same_bytes_in_another_process(name):
         "sys.stdout.buffer.write(render_stack_report(report_of(), sys.argv[1]))"
     )
     env = {"PYTHONHASHSEED": "7", "TZ": "Asia/Tokyo", "LC_ALL": "C"}
-    done = subprocess.run([sys.executable, "-c", code, name], capture_output=True, env=env, check=True)
+    done = subprocess.run([sys.executable, "-P", "-c", code, name], capture_output=True, env=env, check=True)
     assert done.stderr == b""
     assert done.stdout == render_stack_report(REPORT, name)
 

@@ -233,7 +233,7 @@ def made_elsewhere(code: str, argument: str, folder: Path) -> set[bytes]:
         if seed == "2":
             env |= {"TZ": "Asia/Tokyo", "LC_ALL": "C"}
         done = subprocess.run(
-            [sys.executable, "-c", code, argument], capture_output=True, env=env, check=True
+            [sys.executable, "-P", "-c", code, argument], capture_output=True, env=env, check=True
         )
         assert done.stderr == b""
         made.add(done.stdout)
