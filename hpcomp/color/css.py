@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import string
+from functools import cache, lru_cache
 
 import numpy as np
 
@@ -21,6 +22,7 @@ _RGB_DIGITS = {3: 3, 4: 3, 6: 6, 8: 6}
 _NAMES_OF_LEVEL_4 = {"rebeccapurple": "#663399"}
 
 
+@lru_cache  # jobs by the thousand have the same few
 def css_color(text: str, use: str) -> tuple[float, float, float]:
     """Straight linear RGB in [0, 1] of a colour in sRGB.
 
@@ -54,6 +56,7 @@ def css_title(text: str) -> str:
     return name if name in _names() else f"#{name.removeprefix('#')}"
 
 
+@cache
 def _names() -> dict[str, str]:
     import webcolors
 

@@ -10,20 +10,24 @@ import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
+import msgspec
+
 from ..errors import InputError, SettingError, unknown_key, unknown_name, why
 from ..system.outputs import whole_output, write_bytes, writing
 from ..system.streams import STDIN
 from .lines import Lines, json_keys, toml_keys
 from .schema import (
+    JOB_OPTIONS,
     SCHEMA_VERSION,
     Job,
     MisplacedError,
     check_version,
     checked_defaults,
     checked_job,
+    decoded_document,
+    decoded_job,
     in_words,
-    job_options,
-    kinds_of,
+    takes_text,
 )
 
 #: What a document has beside its jobs.
@@ -83,9 +87,15 @@ def _format(path: str, format: str | None) -> str:
 
 
 def _document_jobs(
-    label: str, document: Any, line_of: Callable[[object, str], int | None]
+    label: str,
+    document: Any,
+    line_of: Callable[[object, str], int | None],
+    typed: bool = False,
 ) -> Iterator[Job]:
-    """The jobs of a whole document: a table with `jobs`, a list of jobs, or one job."""
+    """The jobs of a whole document: a table with `jobs`, a list of jobs, or one job.
+
+    `typed`: keys and types are checked already.
+    """
 
     def refused(problem: SettingError, what: str = "") -> SettingError:
         line = line_of(problem.table, problem.key) if isinstance(problem, MisplacedError) else None
@@ -114,7 +124,7 @@ def _document_jobs(
         raise SettingError(f"{label}: holds neither jobs nor a job")
     for number, table in enumerate(tables, 1):
         try:
-            yield checked_job(table, defaults, f"{label}: job {number}")
+            yield checked_job(table, defaults, f"{label}: job {number}", typed=typed)
         except SettingError as problem:
             raise refused(problem, f"job {number}: ") from None
 
@@ -132,8 +142,11 @@ def _toml(label: str, text: str) -> Iterator[Job]:
 
 
 def _json(label: str, text: str) -> Iterator[Job]:
-    document = _parsed_json(label, 1, text)
-    yield from _document_jobs(label, document, Lines(text, document, json_keys).line_of)
+    document = decoded_document(text)
+    typed = document is not None
+    if not typed:
+        document = _parsed_json(label, 1, text)
+    yield from _document_jobs(label, document, Lines(text, document, json_keys).line_of, typed)
 
 
 def _parsed_json(label: str, first_line: int, text: str) -> Any:
@@ -166,14 +179,17 @@ def _jsonl(label: str, text: str) -> Iterator[Job]:
     for line_number, line in enumerate(text.split("\n"), 1):
         if not line.strip():
             continue
-        table = _parsed_json(label, line_number, line)
+        table = decoded_job(line)
+        typed = table is not None
+        if not typed:
+            table = _parsed_json(label, line_number, line)
         try:
             if number == 0 and isinstance(table, dict) and table.keys() <= {"version", "defaults"}:
                 check_version(table.get("version", SCHEMA_VERSION), table)
                 defaults = checked_defaults(table)
                 continue
             number += 1
-            yield checked_job(table, defaults, f"{label}:{line_number}")
+            yield checked_job(table, defaults, f"{label}:{line_number}", typed=typed)
         except SettingError as problem:
             raise SettingError(f"{label}:{line_number}: {problem}") from None
 
@@ -187,7 +203,7 @@ def _csv(label: str, text: str) -> Iterator[Job]:
     rows = csv.reader(io.StringIO(text, newline=""), strict=True)
     try:
         head = [name.strip() for name in next(rows, [])]
-        hints = {"output": str, "version": int, **job_options()}
+        hints = {"output": str, "version": int, **JOB_OPTIONS}
         for name in head:
             if name not in hints and name != _LAYER_COLUMN:
                 raise SettingError(
@@ -220,20 +236,17 @@ def _csv(label: str, text: str) -> Iterator[Job]:
         raise InputError(f"{label}:{rows.line_num}: is not CSV: {reason}") from None
 
 
-_TRUTHS = {"true": True, "yes": True, "1": True, "false": False, "no": False, "0": False}
+_TRUTHS = {"yes": "true", "no": "false"}
 
 
-def _from_text(name: str, text: str, hint: Any) -> Any:
+def _from_text(name: str, text: str, written: Any) -> Any:
     """What a cell of text means for an option; what takes a text is left to `stack` to parse."""
-    kinds = kinds_of(hint)
-    if str in kinds:
+    if takes_text(written):
         return text
     try:
-        if bool in kinds:
-            return _TRUTHS[text.lower()]
-        return int(text) if int in kinds else float(text)
-    except (KeyError, ValueError):
-        raise SettingError(f"{name} is '{text}': it takes {in_words(kinds)}") from None
+        return msgspec.convert(_TRUTHS.get(text.lower(), text), written, strict=False)
+    except msgspec.ValidationError:
+        raise SettingError(f"{name} is '{text}': it takes {in_words(written)}") from None
 
 
 #: The formats of a job file, each with its reader.

@@ -7,23 +7,25 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import typing
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
-from functools import cache
-from types import NoneType
-from typing import Any
+from types import NoneType, UnionType
+from typing import Annotated, Any, Required, TypedDict
 
+import msgspec
+
+from ..blending.porter_duff import OPERATOR_NAMES
+from ..color.encodings import ALPHA_MODES, COLOR_INTEROP_IDS, COLOR_SPACES
 from ..errors import SettingError, unknown_key
 from ..geometry import Window
 from ..layers.layerspec import LayerSpec, layer_spec
-from ..options import OPTIONS
+from ..options import OPTIONS, NamedOption
 from ..system.streams import STDIN, STDOUT
 
 #: The version of the schema that is read and written.
 SCHEMA_VERSION = 1
-#: What a job has beside the options of `stack`.
-_OWN_KEYS = ("version", "layers", "output")
 
 
 @dataclass(frozen=True)
@@ -73,50 +75,162 @@ def _layer_document(layer: LayerSpec) -> dict[str, Any]:
 
 # --- what a job can hold --------------------------------------------------------------------------
 
-#: Of each kind of value: what errors call it, whether a value is one, and how JSON Schema says it.
-_KINDS: dict[Any, tuple[str, Callable[[Any], bool], dict[str, str]]] = {
-    str: ("a text", lambda value: isinstance(value, str), {"type": "string"}),
-    int: ("a whole number", lambda value: type(value) is int, {"type": "integer"}),
-    float: ("a number", lambda value: type(value) in (int, float), {"type": "number"}),
-    bool: ("true or false", lambda value: type(value) is bool, {"type": "boolean"}),
-    NoneType: ("null", lambda value: value is None, {"type": "null"}),
+#: Of each kind of value what errors call it.
+_WORDS = {
+    str: "a text",
+    int: "a whole number",
+    float: "a number",
+    bool: "true or false",
+    NoneType: "null",
 }
 
 
-@cache
-def job_options() -> dict[str, Any]:
-    """The options of a job: those of `stack`, each with the type of its value."""
-    return {name: row.hint for name, row in OPTIONS.items()}
-
-
-@cache
-def _layer_keys() -> dict[str, Any]:
-    return {**typing.get_type_hints(LayerSpec), "part": str | int | None}
-
-
-def kinds_of(hint: Any) -> list[Any]:
-    """The kinds of values that a type hint allows; a list is the list of its items' kinds."""
+def _written(hint: Any) -> Any:
+    """The type of a value as JSON has it: a path or a window is a text, a sequence is a list."""
+    inner = typing.get_args(hint)
     if typing.get_origin(hint) is Sequence:
-        return [kinds_of(typing.get_args(hint)[0])]
-    if typing.get_args(hint) and typing.get_origin(hint) is not os.PathLike:
-        return [kind for inner in typing.get_args(hint) for kind in kinds_of(inner)]
-    # A path or a window is a text in a file.
-    return [hint if hint in _KINDS else str]
+        return list[_written(inner[0])]  # type: ignore[misc]
+    if inner and typing.get_origin(hint) is not os.PathLike:
+        return typing.Union[tuple(map(_written, inner))]  # noqa: UP007
+    return hint if hint in _WORDS else str
 
 
-def _is(kind: Any, value: Any) -> bool:
-    if isinstance(kind, list):
-        return isinstance(value, list) and all(any(_is(k, v) for k in kind) for v in value)
-    return _KINDS[kind][1](value)
+def _kinds(written: Any) -> tuple[Any, ...]:
+    """The types that a union has, or the one type."""
+    is_union = typing.get_origin(written) in (typing.Union, UnionType)
+    return typing.get_args(written) if is_union else (written,)
 
 
-def in_words(kinds: Sequence[Any]) -> str:
+def takes_text(written: Any) -> bool:
+    """Whether a value of that type may be any text."""
+    return str in _kinds(written)
+
+
+def in_words(written: Any) -> str:
+    """What errors say of a type."""
     words = {
-        f"a list, each {in_words(kind)}" if isinstance(kind, list) else _KINDS[kind][0]
-        for kind in kinds
+        f"a list, each {in_words(typing.get_args(kind)[0])}"
+        if typing.get_origin(kind) is list
+        else _WORDS[kind]
+        for kind in _kinds(written)
         if kind is not NoneType
     }
     return " or ".join(sorted(words, key=len))
+
+
+def _option_schema(row: NamedOption) -> dict[str, Any]:
+    """What editors show of an option, and the values that they complete."""
+    default = list(row.default) if isinstance(row.default, tuple) else row.default
+    shown: dict[str, Any] = {"description": row.option.help, "default": default}
+    if row.option.choices:
+        written = _written(row.hint)
+        numbers = [int(n) for n in row.option.choices if n.isdecimal() and int in _kinds(written)]
+        null = [None] if NoneType in _kinds(written) else []
+        shown["enum"] = [*row.option.choices, *numbers, *null]
+    if row.option.least is not None:
+        shown["minimum"] = row.option.least
+    return shown
+
+
+#: The options of a job: each with the type of its value as JSON has it.
+JOB_OPTIONS: dict[str, Any] = {name: _written(row.hint) for name, row in OPTIONS.items()}
+
+#: The keys of a layer: the type of each, what it does, and what else the schema shows.
+_LAYER_ROWS: dict[str, tuple[Any, str, dict[str, Any]]] = {
+    "path": (str, "The file.", {}),
+    "op": (str | None, "Operator of a layer above the bottom one; that of the stack if not given.",
+           {"enum": [*OPERATOR_NAMES, None]}),
+    "opacity": (float, "Scales the layer's colour and alpha.",
+                {"minimum": 0, "maximum": 1, "default": LayerSpec.opacity}),
+    "at": (str | None, "Its place: +X+Y, or a gravity such as center or south+0-10.", {}),
+    "alpha": (str | None, "What the alpha says of the colours; luminance makes it from them.",
+              {"enum": [*ALPHA_MODES, None]}),
+    "colorspace": (str | None, "The encoding, instead of what the file says.",
+                   {"enum": [*COLOR_SPACES, *COLOR_INTEROP_IDS, None]}),
+    "tint": (str | None, "The CSS colour of a grey mask, whose values become the alpha.", {}),
+    "part": (str | int | None, "A part of a multi-part EXR, by name or index.", {}),
+    "layer": (str | None, "Channels NAME.R, NAME.G, NAME.B, NAME.A of an EXR.", {}),
+    "name": (str | None, "What messages call the layer.", {}),
+}  # fmt: skip
+_LAYER_KEYS = {key: written for key, (written, *_) in _LAYER_ROWS.items()}
+
+
+# --- its types, for msgspec -----------------------------------------------------------------------
+
+
+def _shown(written: Any, schema: Mapping[str, Any]) -> Any:
+    return Annotated[written, msgspec.Meta(extra_json_schema=dict(schema))]
+
+
+def _table(name: str, keys: Mapping[str, Any], *required: str) -> Any:
+    typed: Any = TypedDict  # type checkers know only what is written out
+    kinds = {key: Required[kind] if key in required else kind for key, kind in keys.items()}
+    return typed(name, kinds, total=False)
+
+
+_OPTION_KINDS = {
+    name: _shown(JOB_OPTIONS[name], _option_schema(row)) for name, row in OPTIONS.items()
+}
+_VERSION_KIND = {"version": _shown(int, {"const": SCHEMA_VERSION})}
+_LAYER = _table(
+    "layer",
+    {
+        key: _shown(written, {"description": text, **more})
+        for key, (written, text, more) in _LAYER_ROWS.items()
+    },
+    "path",
+)
+_LAYERS: Any = list[str | _LAYER]  # type: ignore[valid-type]
+_JOB = _table(
+    "job",
+    {
+        **_VERSION_KIND,
+        "layers": Annotated[_LAYERS, msgspec.Meta(min_length=1)],
+        "output": _shown(str, {"description": "The picture to write."}),
+        **_OPTION_KINDS,
+    },
+    "layers",
+    "output",
+)
+_DEFAULTS = _table("defaults", _OPTION_KINDS)
+_JOBS: Any = list[_JOB]  # type: ignore[valid-type]
+_DOCUMENT = _table("document", {**_VERSION_KIND, "defaults": _DEFAULTS, "jobs": _JOBS}, "jobs")
+_DOCUMENTS = (_DOCUMENT, _JOBS, _JOB)
+
+_decode_job = msgspec.json.Decoder(_JOB).decode
+_decode_documents = [msgspec.json.Decoder(kind).decode for kind in _DOCUMENTS]
+#: At least every key of a JSON text.
+_JSON_KEY = re.compile(r'"\s*:')
+
+
+def decoded_job(text: str) -> Any:
+    """A job in JSON, with the types of its values checked; None where it says something else."""
+    return _decoded(text, [_decode_job])
+
+
+def decoded_document(text: str) -> Any:
+    """Likewise a document of jobs."""
+    return _decoded(text, _decode_documents)
+
+
+def _decoded(text: str, decoders: Sequence[Callable[[str], Any]]) -> Any:
+    for decode in decoders:
+        try:
+            document = decode(text)
+        except (msgspec.MsgspecError, RecursionError):
+            continue
+        # Keys that are not known, and all but the last that stand twice, are left out unsaid.
+        return document if _n_keys(document) == len(_JSON_KEY.findall(text)) else None
+    return None
+
+
+def _n_keys(value: Any) -> int:
+    if isinstance(value, dict):
+        return len(value) + sum(map(_n_keys, value.values()))
+    return sum(map(_n_keys, value)) if isinstance(value, list) else 0
+
+
+# --- checking it ----------------------------------------------------------------------------------
 
 
 def _plain(value: Any) -> Any:
@@ -128,11 +242,14 @@ def _plain(value: Any) -> Any:
     return [_plain(item) for item in value] if isinstance(value, (list, tuple)) else value
 
 
-def _checked(key: str, value: Any, hint: Any) -> Any:
-    value, kinds = _plain(value), kinds_of(hint)
-    if not any(_is(kind, value) for kind in kinds):
-        raise SettingError(f"{key} is {json.dumps(value, default=str)}: it takes {in_words(kinds)}")
-    return value
+def _checked(key: str, value: Any, written: Any) -> Any:
+    value = _plain(value)
+    try:
+        return msgspec.convert(value, written)
+    except msgspec.ValidationError:
+        raise SettingError(
+            f"{key} is {json.dumps(value, default=str)}: it takes {in_words(written)}"
+        ) from None
 
 
 class MisplacedError(SettingError):
@@ -143,20 +260,20 @@ class MisplacedError(SettingError):
         self.table, self.key = table, key
 
 
-def checked_table(table: Mapping[str, Any], hints: Mapping[str, Any], kind: str) -> dict[str, Any]:
+def checked_table(table: Mapping[str, Any], keys: Mapping[str, Any], kind: str) -> dict[str, Any]:
     """The table with every key and the type of its value checked."""
     found = {}
     for key, value in table.items():
         try:
-            if key not in hints:
-                raise unknown_key(kind, key, hints)
-            found[key] = _checked(key, value, hints[key])
+            if key not in keys:
+                raise unknown_key(kind, key, keys)
+            found[key] = _checked(key, value, keys[key])
         except SettingError as problem:
             raise MisplacedError(str(problem), table, key) from None
     return found
 
 
-def _layer(number: int, layer: Any, table: Mapping[str, Any]) -> LayerSpec:
+def _layer(number: int, layer: Any, table: Mapping[str, Any], typed: bool) -> LayerSpec:
     try:
         if not isinstance(layer, Mapping):
             if not isinstance(layer, (str, os.PathLike, LayerSpec)):
@@ -165,7 +282,7 @@ def _layer(number: int, layer: Any, table: Mapping[str, Any]) -> LayerSpec:
         elif "path" not in layer:
             raise SettingError("it has no path")
         else:
-            settings = checked_table(layer, _layer_keys(), "key of a layer")
+            settings = dict(layer) if typed else checked_table(layer, _LAYER_KEYS, "key of a layer")
             if isinstance(settings.get("part"), int):
                 settings["part"] = str(settings["part"])
             spec = LayerSpec(**settings)
@@ -179,7 +296,11 @@ def _layer(number: int, layer: Any, table: Mapping[str, Any]) -> LayerSpec:
         raise MisplacedError(f"layer {number}: {problem}", table, "layers") from None
 
 
-def checked_job(table: Any, defaults: Mapping[str, Any], where: str) -> Job:
+def checked_job(table: Any, defaults: Mapping[str, Any], where: str, *, typed: bool = False) -> Job:
+    """The job of a table; `typed`: its keys and the types of their values are checked already.
+
+    Errors: `SettingError`, as a `MisplacedError` where it has a place in the table.
+    """
     if not isinstance(table, Mapping):
         raise SettingError(
             f"it is no table of layers, output and options, but {json.dumps(table, default=str)}"
@@ -190,15 +311,16 @@ def checked_job(table: Any, defaults: Mapping[str, Any], where: str) -> Job:
     layers = table["layers"]
     if isinstance(layers, (str, os.PathLike)) or not isinstance(layers, Sequence) or not layers:
         raise MisplacedError("layers is not a list of at least one LAYER", table, "layers")
-    hints = {"version": int, "layers": Sequence[Any], "output": str, **job_options()}
     own = {key: value for key, value in table.items() if key != "layers"}
-    try:
-        own = checked_table(own, hints, "key of a job")
-    except MisplacedError as problem:
-        raise MisplacedError(str(problem), table, problem.key) from None
+    if not typed:
+        keys = {"version": int, "layers": list[Any], "output": str, **JOB_OPTIONS}
+        try:
+            own = checked_table(own, keys, "key of a job")
+        except MisplacedError as problem:
+            raise MisplacedError(str(problem), table, problem.key) from None
     check_version(own.pop("version", SCHEMA_VERSION), table)
     output = own.pop("output")
-    specs = tuple(_layer(number, layer, table) for number, layer in enumerate(layers))
+    specs = tuple(_layer(number, layer, table, typed) for number, layer in enumerate(layers))
     job = Job(specs, output, {**defaults, **own}, where)
     for path in job.outputs:
         if path == STDOUT:
@@ -233,49 +355,22 @@ def checked_defaults(document: Mapping[str, Any]) -> dict[str, Any]:
     if not isinstance(defaults, Mapping):
         raise MisplacedError("defaults is not a table of options", document, "defaults")
     try:
-        return checked_table(defaults, job_options(), "option for all jobs")
+        return checked_table(defaults, JOB_OPTIONS, "option for all jobs")
     except MisplacedError as problem:
         raise MisplacedError(f"defaults: {problem}", problem.table, problem.key) from None
 
 
 def json_schema() -> dict[str, Any]:
     """What job files may say, as a JSON Schema (2020-12) of the whole document."""
-
-    def table(keys: Mapping[str, Any], required: Sequence[str] = ()) -> dict[str, Any]:
-        return {
-            "type": "object",
-            "properties": {key: _json_type(kinds_of(hint)) for key, hint in keys.items()},
-            "required": list(required),
-            "additionalProperties": False,
-        }
-
-    version = {"const": SCHEMA_VERSION}
-    layer = {"anyOf": [{"type": "string"}, table(_layer_keys(), ["path"])]}
-    job = table({"version": int, "output": str, **job_options()}, ["layers", "output"])
-    job["properties"] |= {
-        "version": version,
-        "layers": {"type": "array", "items": {"$ref": "#/$defs/layer"}, "minItems": 1},
-    }
-    jobs = {"type": "array", "items": {"$ref": "#/$defs/job"}}
-    document = table({})
-    document["properties"] = {"version": version, "defaults": table(job_options()), "jobs": jobs}
-    document["required"] = ["jobs"]
+    kinds, parts = msgspec.json.schema_components(_DOCUMENTS, ref_template="#/$defs/{name}")
+    for table in parts.values():
+        table["additionalProperties"] = False
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "title": f"Jobs of hpcomp batch, version {SCHEMA_VERSION}",
-        "anyOf": [document, jobs, {"$ref": "#/$defs/job"}],
-        "$defs": {"job": job, "layer": layer},
+        "anyOf": list(kinds),
+        "$defs": parts,
     }
-
-
-def _json_type(kinds: Sequence[Any]) -> dict[str, Any]:
-    types: list[dict[str, Any]] = []
-    for kind in kinds:
-        items = isinstance(kind, list)
-        found = {"type": "array", "items": _json_type(kind)} if items else _KINDS[kind][2]
-        if found not in types:
-            types.append(found)
-    return types[0] if len(types) == 1 else {"anyOf": types}
 
 
 def jobs_of(tables: Sequence[Mapping[str, Any] | Job]) -> list[Job]:

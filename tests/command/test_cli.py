@@ -1053,7 +1053,7 @@ def modules(desk, *arguments):
 
 HEAVY = {
     "numpy", "OpenImageIO", "OpenEXR", "colour", "matplotlib", "scipy", "dask",
-    "htpy", "tqdm", "webcolors",
+    "htpy", "msgspec", "tqdm", "webcolors",
 }  # fmt: skip
 
 

@@ -3,6 +3,7 @@
 import io
 import json
 import sys
+from dataclasses import fields
 from pathlib import Path
 
 import jsonschema
@@ -12,9 +13,11 @@ from command import Desk
 from command import hpcomp as hpcomp_command
 
 import hpcomp
+from hpcomp.blending.addition import BLENDINGS
 from hpcomp.errors import InputError, SettingError
 from hpcomp.jobs import schema
 from hpcomp.layers.layerspec import LayerSpec
+from hpcomp.options import OPTIONS
 
 
 def document(job):
@@ -148,6 +151,13 @@ REFUSED = [
     ("a.jsonl", '\n{"layers": ["a"], "output": "o.png"}\n{"layers": ["a::opacity=2"], "output": "p.png"}',
      "a.jsonl:3: layer 0: opacity 2 is outside"),
     ("a.jsonl", '{"layers": ["a"], "output": "o.png"}\n{"version": 1}', "a.jsonl:2: it has no layers"),
+    ("a.jsonl", '{"layers": ["a"], "output": "o", "output": "p"}', "a.jsonl: key 'output' stands twice"),
+    ("a.jsonl", '\n{"layers": [{"path": "a", "path": "b"}], "output": "o"}', "a.jsonl:2: key 'path' stands twice"),
+    ("a.jsonl", '{"layers": ["a"], "output": "o.png", "blendign": 1}', "did you mean 'blending'"),
+    ("a.jsonl", '{"layers": [{"path": "a", "opactiy": 1}], "output": "o"}', "layer 0: unknown key of a layer"),
+    ("a.jsonl", '{"layers": ["a"], "output": "o.png", "version": 2}', "version 2 of the schema"),
+    ("a.jsonl", '{"layers": ["a"], "output": "o.png", "order": [0.5]}',
+     "order is [0.5]: it takes a text or a list, each a whole number"),
     ("a.csv", "output,layer,opt\no.png,a,1\n", "a.csv:1: unknown column 'opt'"),
     ("a.csv", "output,layer,output\n", "column 'output' stands twice"),
     ("a.csv", 'output,layer,bins\n"o\n.png",a,3\np.png,a,x\n',
@@ -220,12 +230,12 @@ def desk(tmp_path):
     return desk
 
 
-OPTIONS = ["--depth", "16", "--order", "1,0", "--hue-tolerance", "0", "--strict", "--report", "r.json"]
+ARGUMENTS = ["--depth", "16", "--order", "1,0", "--hue-tolerance", "0", "--strict", "--report", "r.json"]
 
 
 @pytest.mark.parametrize("name", ["job.json", "job.jsonl"])
 def test_stack_saves_its_job_instead_of_making_it(desk, name):
-    desk.makes("stack", "base.png", "top.exr::opacity=0.5", "-o", "a.png", *OPTIONS, "--save-job", name)
+    desk.makes("stack", "base.png", "top.exr::opacity=0.5", "-o", "a.png", *ARGUMENTS, "--save-job", name)
     assert not (desk / "a.png").exists()
     (job,) = hpcomp.read_jobs(desk / name)
     assert document(job) == {
@@ -298,6 +308,58 @@ def test_the_schema_takes_nothing_that_is_refused_for_its_form(name, text):
 
 def test_every_option_of_stack_is_in_the_schema():
     job = schema.json_schema()["$defs"]["job"]["properties"]
-    assert set(job) == {"version", "layers", "output", *schema.job_options()}
-    assert job["depth"] == {"anyOf": [{"type": "string"}, {"type": "integer"}, {"type": "null"}]}
-    assert job["report"] == {"anyOf": [{"type": "string"}, {"type": "array", "items": {"type": "string"}}]}
+    assert set(job) == {"version", "layers", "output", *OPTIONS}
+    for name, row in OPTIONS.items():
+        assert job[name]["description"] == row.option.help
+        assert job[name]["default"] == (list(row.default) if row.default == () else row.default)
+    assert job["depth"]["anyOf"] == [{"type": "string"}, {"type": "integer"}, {"type": "null"}]
+    assert job["depth"]["enum"] == ["8", "16", "half", "float", 8, 16, None]
+    assert job["blending"]["enum"] == list(BLENDINGS)
+    assert job["report"]["anyOf"] == [
+        {"type": "string"}, {"type": "array", "items": {"type": "string"}},
+    ]  # fmt: skip
+
+
+def test_every_key_of_a_layer_is_in_the_schema():
+    layer = schema.json_schema()["$defs"]["layer"]
+    assert set(layer["properties"]) == {field.name for field in fields(LayerSpec)}
+    assert layer["required"] == ["path"]
+    assert all(row["description"] for row in layer["properties"].values())
+    assert "dst-in" in layer["properties"]["op"]["enum"]
+
+
+@pytest.mark.parametrize(
+    "changed", [{"blending": "hue"}, {"depth": 12}, {"layers": ["a", {"path": "b", "opacity": 2}]},
+                {"layers": ["a", {"path": "b", "op": "ovre"}]}, {"threads": 0}]
+)  # fmt: skip
+def test_the_schema_knows_values_that_only_stack_refuses(changed):
+    assert is_valid(JOBS[0])
+    assert not is_valid({**JOBS[0], **changed})
+
+
+# ---- typed decoding ------------------------------------------------------------------------------
+
+#: Jobs of JSON Lines, and whether msgspec can decode them by type alone.
+DECODED = [
+    ('{"layers": ["a"], "output": "o.png"}', True),
+    ('{"layers": ["a", {"path": "b", "part": 2}], "output": "o.png", "hue_tolerance": 1}', True),
+    ('{"output" :"o.png", "layers"\t: ["a"], "order": [0], "depth": 8, "report": ["r.txt"]}', True),
+    ('{"layers": ["\\u0061"], "output": "o.png", "format": null}', True),
+    ('{"layers": ["a\\":b"], "output": "o.png"}', False),  # what looks like one more key
+    ('{"layers": [{"path": ":"}, ":"], "output": ":"}', False),
+    ('{"layers": ["a"], "output": "o.png", "exposure": Infinity}', False),
+]
+
+
+@pytest.mark.parametrize(("line", "typed"), DECODED)
+def test_decoding_by_type_finds_what_the_table_says(tmp_path, line, typed):
+    found = schema.decoded_job(line)
+    assert (found is not None) == typed
+    table = json.loads(line)
+    assert found in (table, None)
+    (tmp_path / "a.jsonl").write_text(line)
+    (tmp_path / "a.json").write_text(f"[{line}]")
+    wanted = document(schema.checked_job(table, {}, "job"))
+    for name in ("a.jsonl", "a.json"):
+        (job,) = hpcomp.read_jobs(tmp_path / name)
+        assert document(job) == wanted

@@ -46,6 +46,7 @@ TESTS = {
         "tests/command/test_report.py::test_figure_grows_with_its_images",
         "tests/command/test_report.py::test_svg_stands_alone",
     ],
+    "msgspec": ["tests/command/test_jobfile.py"],
     "numpy": ["tests/math/test_porter_duff.py"],
     "OpenEXR": ["tests/files/test_fixtures.py"],
     "OpenImageIO": ["tests/files/test_stack.py::test_exr_compression"],
