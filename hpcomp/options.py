@@ -432,6 +432,11 @@ OPTIONS = _named_options()
 DEFAULTS = StackOptions()
 
 
+def older_spelling(keywords: Any, name: str, value: Any) -> Any:
+    """What the keywords of a call, a dict, have under an older spelling, and lose; else `value`."""
+    return keywords.pop(name, value)
+
+
 def takes_options(*names: str) -> Callable[[F], F]:
     """For a function whose last parameter is `**options`: shows those of these names instead."""
 

@@ -13,7 +13,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import PurePath
-from typing import Any
+from typing import TYPE_CHECKING, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,7 +30,6 @@ from ..layers.layerspec import LayerSpec, check_stdin, layer_spec
 from ..layers.notices import Notices, warn_of_problems, warn_of_zeroed
 from ..layers.opening import opened_layer
 from ..layers.placing import Layer, PlacedLayer, layer_specs, opened_stack, rules_of
-from ..measures.histogram import DEFAULT_ACHROMATIC
 from ..measures.labels import (
     BLOCK_PIXELS,
     HALF_STEP_8_BIT,
@@ -48,8 +47,11 @@ from ..measures.labels import (
     share,
     summed,
 )
-from ..options import DEFAULTS, OPTIONS, StackOptions, takes_options
+from ..options import DEFAULTS, OPTIONS, StackOptions, older_spelling, takes_options
 from ..system.streams import STDIN
+
+if TYPE_CHECKING:
+    from ..keywords import StackKeywords
 
 Array = NDArray[np.float32]
 Mask = NDArray[np.bool_]
@@ -216,11 +218,9 @@ def _layer_label(wanted: str, specs: Sequence[LayerSpec]) -> ExpectedHue:
 
 #: The options that place and weigh layers, which a list of hues has none of.
 _OF_LAYERS = ("op", "exposure", "canvas", "background")
-#: The options of a stack that a check takes under their names, and its own of these names.
-_OWN = ("foreign_tolerance", "achromatic")
 
 
-@takes_options(*(name for name in OPTIONS if name not in _OWN))
+@takes_options(*OPTIONS)
 def check(
     image: Layer,
     layers: Sequence[Layer] = (),
@@ -231,9 +231,7 @@ def check(
     max_gray: str | float | None = None,
     require_hue: Sequence[str | float] = (),
     visible: str | float = DEFAULT_VISIBLE,
-    foreign_tolerance: float | None = None,
-    achromatic: float = DEFAULT_ACHROMATIC,
-    **options: Any,
+    **options: Unpack[StackKeywords],
 ) -> CheckResult:
     """Measures the hues of a picture against the layers that it was made from, or against hues.
 
@@ -245,13 +243,13 @@ def check(
     `require_hue`: labels that must be seen, degrees or `layer:1` or `layer:NAME`, each in the share
     `visible` of where it could be.
     `foreign_tolerance`: degrees between p vectors, twice the hue tolerance if not given, and
-    the space's `gamut_turn` more.
+    the space's `gamut_turn` more. `achromatic`: the saturation below which colours are grey, 0.02
+    if not given.
     Returns: a `CheckResult`, whose `passed` tells how it ended.
     Errors: `SettingError`, also where no rule is given; `InputError`, `MismatchError`.
     Warnings: `HpcompWarning`; errors with `strict`.
     """
-    if "max_grey" in options:  # the older spelling
-        max_gray = options.pop("max_grey")
+    max_gray = older_spelling(options, "max_grey", max_gray)
     checked = StackOptions.of(options, base=asked)
     specs = layer_specs(layers)
     picture = _picture_spec(image)
@@ -284,7 +282,11 @@ def check(
         labels = [ExpectedHue(f"hue {hue:g}", None, hue) for hue in degrees]
         listed = [vector_of(hue, rules.space) for hue in degrees]
     labels += [label for label in required if label not in labels]
-    settings = measure_settings(rules, achromatic=achromatic, foreign_tolerance=foreign_tolerance)
+    settings = measure_settings(
+        rules,
+        achromatic=checked.reports.achromatic,
+        foreign_tolerance=checked.reports.foreign_tolerance,
+    )
     with contextlib.ExitStack() as opened:
         # The layers first: where they do not fit together, the picture does not matter.
         stack = None

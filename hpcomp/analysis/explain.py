@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,9 +23,7 @@ from ..layers.canvas import output_window
 from ..layers.layerspec import LayerSpec
 from ..layers.notices import Notices, warn_of_zeroed
 from ..layers.placing import Layer, PlacedLayer, layer_specs, opened_stack, rules_of
-from ..measures.histogram import DEFAULT_ACHROMATIC
 from ..measures.labels import (
-    HALF_STEP_FINE,
     MeasureSettings,
     Support,
     contributors,
@@ -33,6 +31,9 @@ from ..measures.labels import (
     measures_of,
 )
 from ..options import OPTIONS, StackOptions, takes_options
+
+if TYPE_CHECKING:
+    from ..keywords import StackKeywords
 
 Array = NDArray[np.floating[Any]]
 
@@ -170,7 +171,7 @@ def explain(
     layers: Sequence[Layer],
     at: str | tuple[int, int],
     asked: StackOptions | None = None,
-    **options: Any,
+    **options: Unpack[StackKeywords],
 ) -> PixelExplanation:
     """Says how one pixel of `stack` comes about, reading no more rows than that needs.
 
@@ -185,11 +186,9 @@ def explain(
     specs = layer_specs(layers)
     checked = StackOptions.of(options, base=asked)
     rules = rules_of(specs, checked.rules)
-    achromatic = checked.reports.achromatic
     settings = measure_settings(
         rules,
-        half_step=HALF_STEP_FINE,
-        achromatic=DEFAULT_ACHROMATIC if achromatic is None else achromatic,
+        achromatic=checked.reports.achromatic,
         foreign_tolerance=checked.reports.foreign_tolerance,
     )
     x, y = parse_pixel(at) if isinstance(at, str) else at

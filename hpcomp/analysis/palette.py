@@ -25,7 +25,7 @@ from ..errors import MismatchError, SettingError
 from ..layers.layerspec import LayerSpec
 from ..measures.histogram import DEFAULT_ACHROMATIC
 from ..measures.labels import measure_settings
-from ..options import RuleOptions, stack_rules
+from ..options import RuleOptions, older_spelling, stack_rules
 from ..system.streams import STDIN, STDOUT
 from .hues import Layer, images_to_measure, read_hues
 
@@ -283,7 +283,7 @@ def palette(
     Errors: `SettingError`; of layers, `InputError`, and `MismatchError` where no hue stands out.
     Source: Chuang et al. 2009, Figures 4 and 6.
     """
-    gray_opacity = rules.pop("grey_opacity", gray_opacity)  # the older spelling
+    gray_opacity = older_spelling(rules, "grey_opacity", gray_opacity)
     for name in ("op", "exposure", "primaries"):
         if name in rules:
             raise SettingError(f"'{name}' says nothing of a palette: leave it out")

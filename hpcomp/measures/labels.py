@@ -69,7 +69,7 @@ def measure_settings(
     rules: StackRules,
     *,
     half_step: float = HALF_STEP_FINE,
-    achromatic: float = DEFAULT_ACHROMATIC,
+    achromatic: float | None = None,
     foreign_tolerance: float | None = None,
 ) -> MeasureSettings:
     """The settings, checked; the foreign tolerance is 2τ of the stack if it is not given.
@@ -77,6 +77,8 @@ def measure_settings(
     At τ = 0 that is what rounding turns a hue by, and in some spaces the way back into gamut turns
     it as well. Errors: `SettingError`.
     """
+    if achromatic is None:
+        achromatic = DEFAULT_ACHROMATIC
     if foreign_tolerance is None:
         turn = max(2 * rules.hue_tolerance, math.degrees(ROUNDING_ANGLE))
         foreign_tolerance = turn + rules.space.gamut_turn

@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from threading import Lock
-from typing import Any
+from typing import TYPE_CHECKING, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,6 +42,9 @@ from ..system.memory import parse_bytes
 from ..system.threads import ThreadPipeline, thread_count
 from .deepbudget import Need
 from .picture import PicturePlan, PictureRequest, StackResult
+
+if TYPE_CHECKING:
+    from ..keywords import FlattenKeywords
 
 log = logging.getLogger("hpcomp")
 
@@ -111,7 +114,7 @@ def flatten(
     images: Layer | Sequence[Layer],
     output: str | os.PathLike[str],
     asked: StackOptions | None = None,
-    **options: Any,
+    **options: Unpack[FlattenKeywords],
 ) -> StackResult:
     """Composites the samples of deep EXR files along each viewing ray into one flat file.
 

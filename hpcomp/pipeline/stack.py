@@ -6,7 +6,7 @@ import contextlib
 import logging
 import os
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Unpack
 
 from ..engine import choice as engine
 from ..imagefile.source import codec_threads
@@ -19,6 +19,9 @@ from .observer import NobodyWatches, Observer
 from .picture import PictureRequest, StackResult
 from .strips import StackPlan, composite_strips
 
+if TYPE_CHECKING:
+    from ..keywords import StackKeywords
+
 log = logging.getLogger("hpcomp")
 
 
@@ -29,7 +32,7 @@ def stack(
     asked: StackOptions | None = None,
     *,
     command: str = "",
-    **options: Any,
+    **options: Unpack[StackKeywords],
 ) -> StackResult:
     """Composites layer files, bottom first, into one file.
 

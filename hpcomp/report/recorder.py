@@ -26,7 +26,7 @@ from ..geometry import Window
 from ..imagefile.exrscanlines import ExrForm, ExrScanlineWriter
 from ..imagefile.header import PictureHeader
 from ..imagefile.writing import OutputForm
-from ..measures.histogram import DEFAULT_ACHROMATIC, DEFAULT_BINS, HueHistogram
+from ..measures.histogram import DEFAULT_BINS, HueHistogram
 from ..measures.labels import (
     ENERGY_WEIGHTS,
     Provenance,
@@ -101,7 +101,7 @@ class Recorder:
         self._settings = measure_settings(
             rules,
             half_step=half_step(form.kind),
-            achromatic=DEFAULT_ACHROMATIC if asked.achromatic is None else asked.achromatic,
+            achromatic=asked.achromatic,
             foreign_tolerance=asked.foreign_tolerance,
         )
         self._bins = DEFAULT_BINS if asked.bins is None else asked.bins

@@ -10,6 +10,7 @@ import re
 import shutil
 import subprocess
 import sys
+import typing
 from pathlib import Path
 
 import click
@@ -28,7 +29,11 @@ from hpcomp.color.spaces import SPACES
 from hpcomp.errors import EXIT_CODE_MEANINGS, ExitCode
 from hpcomp.geometry import CANVASES, GRAVITIES
 from hpcomp.imagefile.forms import COMPRESSIONS, DEPTHS, NONFINITE_POLICIES
+from hpcomp.keywords import FlattenKeywords, StackKeywords
 from hpcomp.layers.layerspec import LAYER_KEYS
+from hpcomp.options import ARRAY_RULES
+from hpcomp.options import OPTIONS as STACK_OPTIONS
+from hpcomp.pipeline.flatten import FLATTEN_OPTIONS
 
 ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -822,10 +827,10 @@ STATEMENTS = {
                        "SettingError", "MismatchError", "Chuang et al. 2009"],
     "explain": ["`layers`", "`at`", "canvas", "degrees", "linear", "premultiplied", "Returns:",
                 "Errors:", "SettingError", "InputError", "MismatchError", "Warnings:"],
-    "check": ["`image`", "`layers`", "`hues`", "`max_foreign`", "`max_grey`", "`require_hue`",
+    "check": ["`image`", "`layers`", "`hues`", "`max_foreign`", "`max_gray`", "`require_hue`",
               "[0, 1]", "degrees", "Returns:", "Errors:", "SettingError", "Warnings:"],
     "palette": ["`colors`", "`layers`", "`background`", "`opacity`", "`rules`", "`close_hues`",
-                "`least_difference`", "`grey_opacity`", "`achromatic`", "linear", "degrees",
+                "`least_difference`", "`gray_opacity`", "`achromatic`", "linear", "degrees",
                 "0 to 1", "Returns:", "Errors:", "SettingError", "InputError", "MismatchError",
                 "Chuang et al. 2009"],
     "write_palette_report": ["`palette`", "`output`", "`format`", "`figure`", "`clobber`",
@@ -850,13 +855,17 @@ def test_docstring_of_a_function_states_what_it_must(name):
 
 
 def test_docstring_of_composite_gives_every_rule_its_default():
-    from hpcomp.options import stack_rules
-
-    rules = inspect.signature(stack_rules).parameters
     documentation = words(inspect.getdoc(hpcomp.composite))
-    for rule in list(rules.values())[1:]:
-        default = f'"{rule.default}"' if isinstance(rule.default, str) else str(rule.default)
-        assert f"`{rule.name}` {default}" in documentation
+    defaults = {"opacity": 1.0, **{name: STACK_OPTIONS[name].default for name in ("op", *ARRAY_RULES)}}
+    for name, value in defaults.items():
+        default = f'"{value}"' if isinstance(value, str) else str(value)
+        assert f"`{name}` {default}" in documentation
+
+
+def test_type_checkers_know_the_options_of_the_table():
+    hints = typing.get_type_hints(StackKeywords)
+    assert hints == {name: row.hint for name, row in STACK_OPTIONS.items()}
+    assert set(typing.get_type_hints(FlattenKeywords)) == set(FLATTEN_OPTIONS)
 
 
 def test_stack_takes_the_options_of_the_command_under_their_names():
@@ -866,7 +875,7 @@ def test_stack_takes_the_options_of_the_command_under_their_names():
     for name in ("frames", "workers", "save_job"):  # what makes several stacks, or none
         del options[name]
     # The command line is what only the command knows.
-    assert set(options) == set(parameters) - {"layers", "command"}
+    assert set(options) == set(parameters) - {"layers", "asked", "command"}
     for name, shown in options.items():
         parameter = parameters[name]
         if shown.show_default:
@@ -884,7 +893,7 @@ def test_flatten_takes_the_options_of_its_command_and_defaults_of_stack():
     command, _ = TREE["hpcomp flatten"]
     options = {p.name for p in command.params if isinstance(p, click.Option) and p.expose_value}
     parameters = inspect.signature(hpcomp.flatten).parameters
-    assert options == set(parameters) - {"images"}
+    assert options == set(parameters) - {"images", "asked"}
     of_stack = inspect.signature(hpcomp.stack).parameters
     for name in options:
         assert parameters[name].default == of_stack[name].default, name

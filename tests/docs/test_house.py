@@ -22,7 +22,7 @@ FLOORS = (
     ("analysis",),
     ("layers",),
     ("engine",),
-    ("options",),
+    ("options", "keywords"),
     ("imagefile",),
     ("kernel",),
     ("measures",),
