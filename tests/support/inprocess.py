@@ -58,6 +58,7 @@ class _OnPipes(CliRunner):
     def isolation(self, *streams: Any, **how: Any) -> Iterator[Any]:
         with super().isolation(*streams, **how) as unused, contextlib.ExitStack() as opened:
             tempfile.tempdir = None  # asks the environment again
+            theirs = sys.stdin, sys.stdout, sys.stderr  # click 8.3 and older has no other reference
             names = ("stdin", "r", "strict"), ("stdout", "w", "strict"), ("stderr", "w", "backslashreplace")
             for descriptor, (name, mode, errors) in enumerate(names):
                 stream = open(descriptor, mode, encoding="utf-8", errors=errors, closefd=False)  # noqa: SIM115
@@ -65,6 +66,7 @@ class _OnPipes(CliRunner):
             try:
                 yield unused
             finally:
+                del theirs
                 if sys.stderr is not stream:  # one of its own, which codecs do not write to
                     sys.stderr.close()
 
