@@ -166,6 +166,7 @@ def test_the_log_and_the_exit_code_are_those_of_a_local_run(desk, machines):
     assert runs[0][0][2]["warnings"]
 
 
+@pytest.mark.slow
 def test_a_cluster_of_ones_own_and_what_is_remembered(desk):
     put_jobs(desk, jobs(3))
     for status in ("made", "current"):
@@ -210,6 +211,7 @@ def test_a_signal_ends_the_jobs_on_the_workers(desk, machines, number):
     assert len(outputs(desk)) == 6
 
 
+@pytest.mark.slow
 def test_ctrl_c_ends_a_cluster_of_ones_own(desk):
     put_jobs(desk, jobs(8, compression="9"))
     process = begun(desk, "--dask", "local:2")

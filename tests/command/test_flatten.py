@@ -387,6 +387,7 @@ def test_what_cannot_be_flattened_is_not_repacked_first(desk):
     assert "repacked" not in run.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("tile", [None, (64, 128)])
 def test_zstd_stays_in_the_budget(tmp_path, tile):
     peaks = []

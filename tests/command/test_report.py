@@ -392,6 +392,7 @@ def size_of(png):
     return int.from_bytes(header[:4], "big"), int.from_bytes(header[4:8], "big")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("axes", AXES)
 @pytest.mark.parametrize("count", [1, 2, 5, 12])
 def test_figure_grows_with_its_images(axes, count):

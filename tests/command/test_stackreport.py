@@ -172,6 +172,7 @@ def test_figure_says_what_became_of_hues(monkeypatch):
     assert [text for text in said if text in NAMES] == NAMES
 
 
+@pytest.mark.slow
 def test_figure_of_more_layers_than_it_has_room_for(monkeypatch):
     figure = pytest.importorskip("hpcomp.report.huefigure")
     whole = render_stack_report(REPORT, "png")

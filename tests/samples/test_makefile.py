@@ -325,6 +325,7 @@ def stopped(folder, pattern, signal_number):
     return process.wait(command.PATIENCE_S) != 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("signal_number", [signal.SIGINT, signal.SIGKILL])
 def test_an_interrupted_first_make_leaves_whole_figures_or_none(samples, tmp_path, signal_number):
     whole = built(samples[0])

@@ -69,7 +69,7 @@ def make(out, *words, hpcomp_command=COMMAND, size=SIZE, count=SLICES, patience_
 def built(tmp_path_factory):
     """Where the small build is."""
     out = tmp_path_factory.mktemp("paper") / "out"
-    done = make(out, "-j2")
+    done = make(out, "-j2", patience_s=20 * PATIENCE_S)
     assert (done.returncode, done.stderr) == (0, "")
     return out
 

@@ -33,6 +33,9 @@ OLD = b"what stood here"
 #: Variables that say what a terminal can show.
 TERMINAL = {"NO_COLOR", "FORCE_COLOR", "CLICOLOR", "CLICOLOR_FORCE", "COLUMNS", "LINES", "TERM"}
 
+#: Options of runs that leave threads and a process behind in the process that they are made in.
+LEAVING = {"--dask"}
+
 #: Variables that are asked for during a run; others may be read when a process starts alone.
 ASKED = {engine.VARIABLE, sourcedate.VARIABLE, "TMPDIR", *TERMINAL}
 
@@ -62,9 +65,9 @@ def hpcomp(
     """Runs the command, and waits where it has a process of its own.
 
     `process`: that is what the test is about. It has one as well where another command is to start
-    it, `through`, and where variables are set that a process may read when it starts.
+    it, `through`, where variables are set that a process may read when it starts, and for `LEAVING`.
     """
-    if not (process or through or (env or {}).keys() - ASKED):
+    if not (process or through or (env or {}).keys() - ASKED or LEAVING.intersection(arguments)):
         code, stdout, stderr = inprocess.invoke(
             [os.fsdecode(argument) for argument in command(*arguments)[1:]], stdin, cwd, env, umask
         )

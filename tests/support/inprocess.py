@@ -26,6 +26,9 @@ from click.testing import CliRunner
 from hpcomp.cli import run
 from hpcomp.system import signals
 
+#: Far longer than the end of a stream takes to arrive.
+PATIENCE_S = 120
+
 
 def invoke(
     arguments: Sequence[str],
@@ -102,7 +105,8 @@ def _piped(stdin: bytes) -> Iterator[dict[int, bytearray]]:
             os.dup2(before, descriptor)
             os.close(before)
         for thread in threads:
-            thread.join()
+            thread.join(PATIENCE_S)
+            assert not thread.is_alive(), "a process that the run began holds one of its streams"
 
 
 @contextlib.contextmanager
