@@ -6,10 +6,10 @@ import warnings
 
 import numpy as np
 import pytest
+from engines import composite_by
 from hypothesis import settings
 from pairwise import mark_products
 
-from hpcomp.engine import arrays
 from hpcomp.engine import choice as engine
 
 # Some test files compare with colour, whose first import changes how numpy prints, where the examples
@@ -41,19 +41,6 @@ def pytest_collection_modifyitems(items):
     for item in items:
         if SLOW_FIXTURES.intersection(getattr(item, "fixturenames", ())):
             item.add_marker(pytest.mark.slow)
-
-
-def composite_by(name, *arguments, **rules):
-    """`hpcomp.composite` by the engine of that name."""
-    before = os.environ.get(engine.VARIABLE)
-    os.environ[engine.VARIABLE] = name
-    try:
-        return arrays.composite(*arguments, **rules)
-    finally:
-        if before is None:
-            del os.environ[engine.VARIABLE]
-        else:
-            os.environ[engine.VARIABLE] = before
 
 
 @pytest.fixture(scope="session", params=engine.NAMES)

@@ -18,10 +18,10 @@ import OpenEXR
 import OpenImageIO as oiio
 import pngfile
 import pytest
+from agreement import ENGINES, TIES
 from command import OLD, Desk, shell, snapshot
 from processes import assert_ended, running, temporary_of
 from strategies import ORDER_NAMES
-from test_summary import ENGINES, TIES
 
 import hpcomp
 from hpcomp import MismatchError, OutputError, SettingError

@@ -19,7 +19,7 @@ import OpenEXR
 import oracle
 import pngfile
 import pytest
-from conftest import composite_by
+from engines import composite_by
 
 import hpcomp
 from hpcomp import HpcompWarning, MismatchError, SettingError

@@ -8,13 +8,38 @@ import logging
 import math
 import re
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 
 import exrfile
 import numpy as np
 import pngfile
 import pytest
+from bindings import (
+    ALL_ORDERS,
+    ARGUMENTS_OF_A_LAYER,
+    BOTTOM_UP,
+    FRONT_TO_BACK,
+    PERMUTATION,
+    ROWS_OF_MAPS,
+    STRIDED,
+    WRONG_TYPES,
+    make_background,
+    make_layer,
+    make_maps,
+    make_rules,
+    refused,
+    unaligned,
+)
 from command import hpcomp as command
+from engines import (
+    CURVES,
+    MODES,
+    ORDERS,
+    SOME_PRIMARIES,
+    broken,
+    layers_of_labels,
+    run,
+    run_arrays,
+)
 from hypothesis import given
 from hypothesis import strategies as st
 from strategies import (
@@ -22,7 +47,6 @@ from strategies import (
     HUE_TOLERANCES,
     OPERATOR_NAMES,
     ORDER_NAMES,
-    hue_direction,
     jobs,
     rules_of,
 )
@@ -35,7 +59,7 @@ from hpcomp.color.primaries import PRIMARIES, REC709
 from hpcomp.color.quantization import LARGEST_HALF, Losses, to_straight_srgb
 from hpcomp.color.samples import OUTPUT_TYPES, PLAIN, Decoding, Strip, linear_rgba
 from hpcomp.color.spaces import SPACES
-from hpcomp.color.transfer import LINEAR, REC709_CAMERA, SRGB, gamma
+from hpcomp.color.transfer import LINEAR, SRGB
 from hpcomp.engine import choice as engine
 from hpcomp.engine import reference
 from hpcomp.errors import HpcompError, HpcompWarning, SettingError
@@ -44,8 +68,6 @@ from hpcomp.kernel import fused as kernel
 from hpcomp.options import stack_rules
 from hpcomp.pipeline import budget
 from hpcomp.pipeline import strips as strip_pass
-
-ORDERS = (*ORDER_NAMES, "2,0,3,1")
 
 # Both engines work in float32 and differ in a square root, an angle, and where they divide.
 ULPS_OF_LARGEST_TERM = 8
@@ -61,83 +83,6 @@ HAS_HUE = 0.02
 # A code's lower edge and a colour divided by its alpha are each rounded to float32 by half a step:
 # where the two come nearer than that, the code may be the neighbour of the one that doubles find.
 TIE = 2.0**-23
-
-
-# ---- strips through an engine ----------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class Result:
-    """What an engine gave for a strip."""
-
-    samples: np.ndarray
-    losses: Losses
-    nonfinite: list[int]
-
-    @property
-    def everything(self):
-        """To be compared with `==`: bytes, counts."""
-        return self.samples.tobytes(), self.samples.dtype, vars(self.losses), self.nonfinite
-
-
-def run(by, rules, strips, width, height, kind="float", *, at_once=1, dtype=np.float32):
-    """The strips, layer 0 first, through `kernel` or `reference`, `at_once` of them at a time."""
-    accumulator = by.ENGINE.start(rules, width, height, dtype)
-    losses, numbers = Losses(), list(rules.arrival)
-    # The reference's NaN and Inf are the same with and without numpy's warnings.
-    with np.errstate(all="ignore"):
-        for begin in range(0, len(numbers), at_once):
-            group = numbers[begin : begin + at_once]
-            accumulator.add(group, [strips[number] for number in group])
-        samples = accumulator.result(kind, losses)
-    assert samples.shape == (height, width, 4)
-    return Result(samples, losses, list(accumulator.nonfinite))
-
-
-def run_arrays(by, rules, arrays, kind="float", **how):
-    """The same with premultiplied arrays (height, width, 4) that fill the strip."""
-    height, width = arrays[0].shape[:2]
-    return run(by, rules, [Strip(array) for array in arrays], width, height, kind, **how)
-
-
-def layers_of_labels(n_layers, height, width, seed=1):
-    """(n, h, w, 4) float32, premultiplied: hues equal, in, on and beyond the shoulder of 2° or
-    unrelated; the gamut's boundary, greys, HDR, negative colour, glow, nothing."""
-    rng = np.random.default_rng([seed, n_layers, height, width])
-    pixels = height * width
-    toward_red, aside = np.array(hue_direction(0)), np.array(hue_direction(90))
-    layers = np.empty((n_layers, pixels, 4))
-    hue_deg = rng.uniform(0, 360, pixels)
-    for layer in layers:
-        steps = [0, 0.8, 1.6, 2.5, 3, 3.9, 4.5, 12, 30, 120, 180, -70]
-        hue_deg = hue_deg + rng.choice(steps, pixels)
-        angle = np.radians(hue_deg)[:, None]
-        direction = np.cos(angle) * toward_red + np.sin(angle) * aside
-        luminance = rng.uniform(0.05, 0.95, (pixels, 1))
-        room = np.where(direction > 0, (1 - luminance) / direction, luminance / -direction)
-        share = np.where(rng.random((pixels, 1)) < 0.5, 1, rng.random((pixels, 1)))
-        c = np.clip(luminance + share * room.min(axis=1, keepdims=True) * direction, 0, 1)
-        alpha = rng.choice([0, 1, 0.5, 1 / 255, *rng.random(6)], (pixels, 1))
-        c *= alpha
-        kind = rng.integers(0, 12, pixels)
-        c[kind == 0] = c[kind == 0].mean(axis=1, keepdims=True)
-        c[kind == 1] = rng.uniform(-0.5, 20, (pixels, 3))[kind == 1]
-        c[kind == 2] = 0
-        layer[:] = np.concatenate([c, alpha], axis=1)
-    return layers.reshape(n_layers, height, width, 4).astype(np.float32)
-
-
-def broken(layers, seed=2):
-    """A copy with NaN of either sign and any payload, Inf and huge numbers strewn in."""
-    rng = np.random.default_rng(seed)
-    layers = layers.copy()
-    some = rng.random(layers.shape) < 0.05
-    layers[some] = rng.choice([np.nan, np.inf, -np.inf, 1e38, -1e38, 1e-45], some.sum())
-    some = rng.random(layers.shape) < 0.01
-    payloads = rng.integers(0x7F800001, 0x80000000, some.sum(), dtype=np.uint32)
-    signs = rng.integers(0, 2, some.sum(), dtype=np.uint32) << np.uint32(31)
-    layers.view(np.uint32)[some] = payloads | signs
-    return layers
 
 
 # ---- agreement with the reference --------------------------------------------------------------
@@ -322,12 +267,6 @@ def assert_same(rules, strips, width, height, kind="float"):
     assert ours.nonfinite == theirs.nonfinite
     assert ours.losses == theirs.losses
     return ours
-
-
-MODES = ("straight", "premultiplied", "premultiplied-encoded", "luminance")
-CURVES = (SRGB, LINEAR, gamma(2.2), REC709_CAMERA)
-# Of custom primaries, the binding sees only the matrix: one with another white, one with the same.
-SOME_PRIMARIES = [PRIMARIES[name] for name in ("rec709", "display-p3", "acescg")]
 
 
 class TestSamples:
@@ -984,65 +923,12 @@ class TestStackBytes:
 # ---- the binding -------------------------------------------------------------------------------
 
 
-#: What is right but for the samples.
-ARGUMENTS_OF_A_LAYER = {
-    "decode": None, "alpha_straight": False, "matrix": None, "left": 0, "top": 0, "opacity": 1.0,
-    "factor_a": _kernel.Factor.ONE, "factor_b": _kernel.Factor.REST, "behind": False,
-    "zero_nonfinite": False,
-}  # fmt: skip
-
-
-def make_layer(samples=None, decode=None, **changed):
-    """`_kernel.layer` with arguments that are right but for those given."""
-    samples = np.zeros((2, 3, 4), np.float32) if samples is None else samples
-    return _kernel.layer(
-        **{**ARGUMENTS_OF_A_LAYER, "samples": samples, "decode": decode, **changed}
-    )
-
-
-#: Coefficients of the maps of a space, by the rows that each name has.
-PLANE_ROWS = {"to_p": 2, "from_p": 3}
-ROWS_OF_MAPS = {
-    "linear": PLANE_ROWS,
-    "hsl": PLANE_ROWS,
-    "oklab": {"to_lms": 3, "to_lab": 3, "to_roots": 3, "from_lms": 3},
-    "cielab": {"to_xz": 2, "from_xz": 3},
-}
-
-
-def make_maps(kind="linear", coefficient=1.0, **changed):
-    """`_kernel.linear_maps` or those of another space, with all coefficients the same."""
-    arguments = {"weight_red": 0.2, "weight_blue": 0.1}
-    for name, rows in ROWS_OF_MAPS[kind].items():
-        arguments[name] = [[coefficient] * 2] * rows
-    if kind in ("oklab", "cielab"):
-        arguments["inverse_largest"] = 0.5
-    return getattr(_kernel, f"{kind}_maps")(**{**arguments, **changed})
-
-
-def make_background(**changed):
-    return _kernel.background(**{"luminance": 0.1, "p": [0.2, 0.3], "lo": 0.0, "hi": 0.0, **changed})
-
-
-def make_rules(**changed):
-    arguments = {
-        "blending": _kernel.Blending.HUE_PRESERVING, "hue_tolerance": 0.03, "rounding_angle": 1e-4,
-        "gray_bias": 0.0, "order": BOTTOM_UP, "permutation": [], "layers": 2, "background": None,
-        "gain": 1.0, "space": make_maps(),
-    }  # fmt: skip
-    return _kernel.rules(**{**arguments, **changed})
-
-
 def make_accumulator(rules=None, width=3, height=2, level="", **changed):
     return _kernel.Accumulator(
         rules=rules or make_rules(**changed), width=width, height=height, level=level
     )
 
 
-ALL_ORDERS = tuple(_kernel.Order)
-BOTTOM_UP, FRONT_TO_BACK, PERMUTATION = (
-    _kernel.Order.BOTTOM_UP, _kernel.Order.FRONT_TO_BACK, _kernel.Order.PERMUTATION
-)  # fmt: skip
 BALANCED, SIMULTANEOUS = _kernel.Order.BALANCED, _kernel.Order.SIMULTANEOUS
 #: What is no choice: numbers, names, and members of other enums.
 NO_CHOICES = (-1, 0, 1, 2**31, None, "over", "BOTTOM_UP", 1.5, _kernel.Losses)
@@ -1069,33 +955,10 @@ def make_codes(tables=CODES_8, **changed):
     )
 
 
-def unaligned(dtype, shape):
-    count = math.prod(shape)
-    memory = np.zeros(count * np.dtype(dtype).itemsize + 1, np.uint8)
-    found = memory[1:].view(dtype).reshape(shape)
-    assert not found.flags.aligned
-    return found
-
-
-def refused():
-    return pytest.raises((TypeError, ValueError))
-
-
-WRONG_TYPES = (
-    "i1", "i2", "i4", "u4", "u8", "f8", "c8", "?", ">f4", ">f2", ">u2", "O", "S4", "M8[s]",
-)  # fmt: skip
 WRONG_SHAPES = ((), (4,), (2, 4), (2, 3, 4, 1), (2, 3, 0), (2, 3, 5))
 NO_COORDINATES = (2**30 + 1, -(2**30) - 1, 2**31, -(2**31), 2**63, -(2**64), 1.5, None, "1")
 TABLE_8, TABLE_16 = np.zeros(256, np.float32), np.zeros(65536, np.float32)
 
-STRIDED = {
-    "every other pixel": lambda a: np.repeat(a, 2, axis=1)[:, ::2],
-    "from right to left": lambda a: a[:, ::-1],
-    "channels backwards": lambda a: a[..., ::-1],
-    "every other channel": lambda a: np.repeat(a, 2, axis=2)[..., ::2],
-    "planes": lambda a: np.ascontiguousarray(a.transpose(2, 0, 1)).transpose(1, 2, 0),
-    "one pixel for all": lambda a: np.broadcast_to(a[:, :1], a.shape),
-}
 BAD_TABLES = {
     "none": None,
     "short": TABLE_8[:255],
@@ -1488,9 +1351,9 @@ class TestBinding:
         flat = make_maps(from_p=[[0.0] * 2] * 3)
         accumulator = make_accumulator(order=order, permutation=[1, 0], space=flat)
         first, second = (1, 0) if order == FRONT_TO_BACK else (0, 1)
-        for refused in ([first, first], [second], [7], [first, second, 0]):
+        for wrong in ([first, first], [second], [7], [first, second, 0]):
             with pytest.raises(ValueError, match="layer"):
-                added(refused)
+                added(wrong)
         added([first])
         with pytest.raises(ValueError, match="layer"):
             accumulator.result(out=out(), codes=None)

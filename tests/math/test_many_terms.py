@@ -6,10 +6,10 @@ from threading import Event
 
 import numpy as np
 import pytest
+from agreement import assert_agree
 from command import PATIENCE_S
+from engines import run_arrays, strips_of
 from strategies import color_of, hue_direction
-from test_kernel import run_arrays
-from test_summary import assert_agree, strips_of
 
 from hpcomp.engine import choice as engine
 from hpcomp.engine import reference

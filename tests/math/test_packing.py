@@ -7,6 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
+from bindings import refused, unaligned
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -413,16 +414,6 @@ class TestBytes:
 
 
 # ---- the binding -------------------------------------------------------------------------------
-
-
-def refused():
-    return pytest.raises((TypeError, ValueError))
-
-
-def unaligned(dtype, shape):
-    size = int(np.prod(shape)) * np.dtype(dtype).itemsize
-    # Between two multiples of every type's size.
-    return np.zeros(size + 9, np.uint8)[1 : size + 1].view(dtype).reshape(shape)
 
 
 def read_only(array):

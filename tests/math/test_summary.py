@@ -2,24 +2,17 @@
 
 from __future__ import annotations
 
-import dataclasses
 import itertools
 import math
 from contextlib import nullcontext
 
 import numpy as np
 import pytest
-from strategies import BLENDING_NAMES, OPERATOR_NAMES, valid_color
-from test_kernel import (
+from agreement import ENGINES, SUMS, TIES, assert_agree
+from bindings import (
     ALL_ORDERS,
-    CURVES,
-    MODES,
-    ORDERS,
-    SOME_PRIMARIES,
     STRIDED,
     WRONG_TYPES,
-    broken,
-    layers_of_labels,
     make_background,
     make_layer,
     make_maps,
@@ -27,6 +20,8 @@ from test_kernel import (
     refused,
     unaligned,
 )
+from engines import CURVES, MODES, ORDERS, SOME_PRIMARIES, broken, layers_of_labels, strips_of
+from strategies import BLENDING_NAMES, OPERATOR_NAMES, valid_color
 
 from hpcomp.color.encodings import ColorEncoding
 from hpcomp.color.primaries import REC709
@@ -39,84 +34,9 @@ from hpcomp.kernel import _kernel
 from hpcomp.kernel import fused as kernel
 from hpcomp.measures import labels as measures
 from hpcomp.measures import summary
-from hpcomp.measures.histogram import HueHistogram, hue_histogram
+from hpcomp.measures.histogram import hue_histogram
 from hpcomp.measures.summary import StripToMeasure
 from hpcomp.options import stack_rules
-
-ENGINES = {"kernel": kernel.ENGINE, "reference": reference.ENGINE}
-
-# Rounding decides which side of a bin's edge or of a threshold a pixel is on: so many may differ.
-TIES = 2
-# Sums of float32 values, each rounded to a unit of the sum; the shoulder enlarges some roundings.
-SUMS = 2e-5
-# Of provenance: a difference of nearly equal lengths keeps fewer digits than either.
-PLANES = 1e-4
-
-
-def both(rules, strips, width, height, *, bins=360, **settings):
-    """Findings and provenance by the kernel, then by the reference."""
-    chosen = measures.measure_settings(rules, **settings)
-    with np.errstate(all="ignore"):
-        return tuple(
-            by.summary(StripToMeasure(rules, chosen, bins, strips, width, height, True))
-            for by in ENGINES.values()
-        )
-
-
-def numbers(found):
-    """(name, value) of each number and array of findings but for the histograms of layers."""
-    for name, value in vars(found).items():
-        if dataclasses.is_dataclass(value):
-            yield from ((f"{name}.{inner}", number) for inner, number in numbers(value))
-        elif name == "layers" and isinstance(value[0], HueHistogram):
-            continue
-        elif isinstance(value, tuple):
-            for index, item in enumerate(value):
-                if dataclasses.is_dataclass(item):
-                    yield from ((f"{name}[{index}].{i}", number) for i, number in numbers(item))
-                else:
-                    yield f"{name}[{index}]", item
-        elif not isinstance(value, (str, float)):
-            yield name, value
-
-
-COUNTS = {"count", "grey", "transparent", "nonfinite", "chromatic", "foreign", "pixels",
-          "survived", "unmeasured", "order_sensitive"}  # fmt: skip
-
-
-def assert_agree(rules, strips, width, height, **settings):
-    """Both engines find the same, each as exactly as it must; the kernel's findings."""
-    (ours, our_planes), (theirs, their_planes) = both(rules, strips, width, height, **settings)
-    assert ours.measures.settings == theirs.measures.settings
-    assert ours.layers == theirs.layers
-    compared = set()
-    for (name, mine), (_, other) in zip(numbers(ours), numbers(theirs), strict=True):
-        mine, other = np.asarray(mine), np.asarray(other)
-        assert (mine.dtype, mine.shape) == (other.dtype, other.shape) == (np.int64, mine.shape)
-        error = abs(mine - other)
-        last = name.rpartition(".")[2]
-        compared.add(last)
-        if last in COUNTS:
-            # One that changes sides is missing here and too many there.
-            assert error.sum() <= 2 * TIES, name
-        else:
-            allowed = SUMS * abs(other) + width * height
-            beyond = (error > allowed).reshape(*mine.shape[:1], -1).any(axis=-1)
-            assert np.count_nonzero(beyond) <= 2 * TIES * (mine.ndim > 0), name
-    assert compared >= COUNTS | {"chroma", "alpha", "rgb", "kept", "foreign_chroma", "light[2]"}
-    same = our_planes.layer == their_planes.layer
-    assert np.count_nonzero(~same) <= TIES
-    for name in ("grey", "margin"):
-        mine, other = getattr(our_planes, name), getattr(their_planes, name)
-        assert (mine.dtype, mine.shape) == (np.float32, (height, width))
-        # Where nothing has a hue that a float32 can hold, both are 0 or both are not told apart.
-        assert np.allclose(mine[same], other[same], rtol=PLANES, atol=PLANES, equal_nan=True), name
-    return ours
-
-
-def strips_of(layers):
-    return [Strip(layer) for layer in layers]
-
 
 LAYERS = layers_of_labels(4, 3, 700)
 
