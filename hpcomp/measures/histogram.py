@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, fields
 from functools import cached_property
-from statistics import median
 from typing import Any
 
 import numpy as np
@@ -234,6 +233,8 @@ class HueHistogram:
     @cached_property
     def _claims(self) -> list[tuple[int, list[int]]]:
         """The listed peaks: the bin of each, and the bins that it claims."""
+        from statistics import median  # random and decimal, which no stack needs, come with it
+
         radius = self._peak_radius
         beside = range(radius + 1, max(BESIDE * radius, radius + FEWEST_BESIDE) + 1)
         count = self.count.tolist()
