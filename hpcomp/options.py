@@ -11,7 +11,8 @@ import inspect
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from typing import Any, TypeVar, get_args, get_type_hints
+from functools import cache
+from typing import Any, TypeVar, get_type_hints
 
 import numpy as np
 
@@ -37,7 +38,7 @@ from .color.spaces import BUILDERS, DEFAULT_SPACE
 from .errors import SettingError, nearest, unknown_name
 from .geometry import Window, parse_canvas, parse_window
 from .imagefile.forms import COMPRESSIONS, DEPTHS, FORMATS, NONFINITE_POLICIES
-from .measures.histogram import DEFAULT_ACHROMATIC, DEFAULT_BINS
+from .measures.defaults import DEFAULT_ACHROMATIC, DEFAULT_BINS
 from .system.memory import parse_bytes
 from .system.threads import check_threads
 
@@ -395,38 +396,44 @@ _GROUPS: dict[str, Callable[..., Any]] = {
 
 @dataclass(frozen=True)
 class NamedOption:
-    """One row of `OPTIONS`: an option, its name and group, its default, what type it takes."""
+    """One row of `OPTIONS`: an option, its name, group, default, and type as it is written."""
 
     name: str
     group: str
     default: Any
-    hint: Any
+    annotation: Any
     option: Option
+
+    @property
+    def hint(self) -> Any:
+        """The type that it takes."""
+        return self.option.takes or _hints(self.group)[self.name]
 
     @property
     def kind(self) -> type | None:
         """The type of a number; None of what is written as a text."""
-        kinds = {int, float} & {self.hint, *get_args(self.hint)}
-        return None if {self.hint, *get_args(self.hint)} & {str, Window} else kinds.pop()
+        numbers: dict[str, type] = {"int": int, "float": float}
+        return numbers.get(str(self.annotation).removesuffix(" | None"))
 
 
-def _named_options() -> dict[str, NamedOption]:
-    return {
-        item.name: NamedOption(
-            item.name,
-            name,
-            item.default,
-            item.metadata["option"].takes or hints[item.name],
-            item.metadata["option"],
-        )
-        for name, group in _GROUPS.items()
-        for hints in [get_type_hints(group)]
-        for item in fields(group)  # type: ignore[arg-type]
-    }
+@cache
+def _hints(group: str) -> dict[str, Any]:
+    """The types of a group's options, which take a while to find: only where they are asked for."""
+    return get_type_hints(_GROUPS[group])
 
 
 #: Every option by its name, in the order of the groups.
-OPTIONS = _named_options()
+OPTIONS: dict[str, NamedOption] = {
+    item.name: NamedOption(
+        item.name,
+        name,
+        item.default,
+        item.metadata["option"].takes or item.type,
+        item.metadata["option"],
+    )
+    for name, group in _GROUPS.items()
+    for item in fields(group)  # type: ignore[arg-type]
+}
 
 #: What is used where nothing is asked.
 DEFAULTS = StackOptions()
@@ -449,7 +456,10 @@ def takes_options(*names: str) -> Callable[[F], F]:
         rows = [OPTIONS[name] for name in names]
         shown = [
             inspect.Parameter(
-                row.name, inspect.Parameter.KEYWORD_ONLY, default=row.default, annotation=row.hint
+                row.name,
+                inspect.Parameter.KEYWORD_ONLY,
+                default=row.default,
+                annotation=row.annotation,
             )
             for row in rows
         ]

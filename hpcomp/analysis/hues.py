@@ -16,7 +16,8 @@ from ..imagefile.source import codec_threads
 from ..layers.layerspec import LayerSpec, check_stdin, layer_spec
 from ..layers.notices import Notices, warn_of_problems, warn_of_zeroed
 from ..layers.opening import opened_layer
-from ..measures.histogram import DEFAULT_ACHROMATIC, DEFAULT_BINS, HueHistogram, hue_histogram
+from ..measures.defaults import DEFAULT_ACHROMATIC, DEFAULT_BINS
+from ..measures.histogram import HueHistogram, hue_histogram
 from ..options import RuleOptions
 from ..system.streams import STDIN, STDOUT
 from ..system.threads import ThreadPipeline, thread_count

@@ -23,7 +23,7 @@ from ..color.planes import cross_and_dot, is_saturated, saturation, spread_and_s
 from ..engine.arrays import composite
 from ..errors import MismatchError, SettingError
 from ..layers.layerspec import LayerSpec
-from ..measures.histogram import DEFAULT_ACHROMATIC
+from ..measures.defaults import DEFAULT_ACHROMATIC
 from ..measures.labels import measure_settings
 from ..options import RuleOptions, older_spelling, stack_rules
 from ..system.streams import STDIN, STDOUT

@@ -14,7 +14,7 @@ from ..analysis.palette import (
     DEFAULT_OPACITY,
 )
 from ..errors import ExitCode, SettingError
-from ..measures.histogram import DEFAULT_ACHROMATIC
+from ..measures.defaults import DEFAULT_ACHROMATIC
 from ..options import ARRAY_RULES
 from ..report.paletteformats import FIGURES, PALETTE_FORMATS, PaletteLook, load, palette_format
 from ..system.outputs import write_bytes

@@ -15,7 +15,6 @@ from ..color.primaries import Primaries
 from ..color.quantization import Losses
 from ..color.samples import Samples
 from ..errors import HpcompWarning, SettingError, unknown_name
-from . import reference
 from .contract import Accumulator, Engine
 
 if TYPE_CHECKING:  # only reports need them
@@ -26,9 +25,14 @@ if TYPE_CHECKING:  # only reports need them
 VARIABLE = "HPCOMP_ENGINE"
 NAMES = ("kernel", "reference")
 
-REFERENCE: Engine = reference.ENGINE
-
 _looking = Lock()
+
+
+def reference_engine() -> Engine:
+    """The reference, imported when it is needed: where the kernel is, most runs do without it."""
+    from . import reference
+
+    return reference.ENGINE
 
 
 def _kernel() -> Engine | None:
@@ -58,7 +62,7 @@ def chosen() -> Engine:
             f"{VARIABLE} asks for the kernel, which was not built: install hpcomp again with a "
             "C++ compiler at hand"
         )
-    return kernel or REFERENCE
+    return kernel or reference_engine()
 
 
 def active() -> Engine:
@@ -68,7 +72,7 @@ def active() -> Engine:
     error in a strict run, as the pictures are the same. Errors: as `chosen`.
     """
     engine = chosen()
-    if engine is REFERENCE and not os.environ.get(VARIABLE):
+    if engine.name == "reference" and not os.environ.get(VARIABLE):
         with _looking:
             _warn_of_the_missing_kernel()
     return engine
@@ -86,14 +90,14 @@ def _warn_of_the_missing_kernel() -> None:
 
 def start(rules: StackRules, width: int, height: int, dtype: Any = np.float32) -> Accumulator:
     """An empty accumulator of the active engine; float64 is composited by the reference."""
-    engine = REFERENCE if dtype == np.float64 else active()
+    engine = reference_engine() if dtype == np.float64 else active()
     return engine.start(rules, width, height, dtype)
 
 
 def measuring(rules: StackRules) -> Engine:
     """The engine that measures a stack: the active one where it can, else the reference."""
     engine = active()
-    return engine if engine.measures(rules) else REFERENCE
+    return engine if engine.measures(rules) else reference_engine()
 
 
 def result_and_summary(
@@ -105,4 +109,4 @@ def result_and_summary(
     """
     if active().measures(strip.rules):
         return accumulator.result_and_summary(kind, losses, gamut, strip)
-    return accumulator.result(kind, losses, gamut), *REFERENCE.summary(strip)
+    return accumulator.result(kind, losses, gamut), *reference_engine().summary(strip)

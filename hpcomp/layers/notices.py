@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 from ..blending.rules import StackRules
 from ..color.quantization import LARGEST_HALF, Losses
 from ..errors import HpcompWarning, InputError, InputWarning, MismatchError, one_line
-from ..imagefile.deepreading import DeepReader
 from ..imagefile.reading import LayerReader
+
+if TYPE_CHECKING:  # only `flatten` needs it
+    from ..imagefile.deepreading import DeepReader
 
 
 class Notices:

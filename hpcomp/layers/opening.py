@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterator
+from typing import TYPE_CHECKING
 
-from ..imagefile.deepreading import DeepReader, open_deep
 from ..imagefile.description import describe
 from ..imagefile.interpretation import Interpretation
 from ..imagefile.parts import choose
 from ..imagefile.reading import LayerReader
 from ..imagefile.seekable import seekable
 from .layerspec import LayerSpec
+
+if TYPE_CHECKING:
+    from ..imagefile.deepreading import DeepReader
 
 
 def _interpretation(spec: LayerSpec, nonfinite: str) -> Interpretation:
@@ -38,6 +41,8 @@ def opened_layer(spec: LayerSpec, label: str, nonfinite: str) -> Iterator[LayerR
 @contextlib.contextmanager
 def opened_deep_layer(spec: LayerSpec, label: str, nonfinite: str) -> Iterator[DeepReader]:
     """A reader of the layer's deep samples, closed at the end of the block; as `opened_layer`."""
+    from ..imagefile.deepreading import open_deep  # of which a stack has no use
+
     with (
         seekable(spec.path, label) as path,
         open_deep(

@@ -18,14 +18,13 @@ from ..color import spaces
 from ..color.hueaxis import HueAxis
 from ..color.planes import is_saturated, length, spread_and_size
 from ..errors import MismatchError, SettingError, unknown_name
+from .defaults import DEFAULT_ACHROMATIC, DEFAULT_BINS
 
 Counts = NDArray[np.int64]
 Floats = NDArray[np.floating[Any]]
 
-DEFAULT_BINS = 360
 #: One bin for a sextant at least; beyond a tenth of a degree, bins hold rounding.
 FEWEST_BINS, MOST_BINS = 6, 3600
-DEFAULT_ACHROMATIC = 0.02
 
 #: What sums count in, and each pixel's value is rounded to: a float's own step below 1, and a
 #: twentieth of the light between the two darkest codes of 16 bits.

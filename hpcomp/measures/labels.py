@@ -24,7 +24,8 @@ from ..blending.terms import weighted
 from ..color.gamut import bounds_of, colors_within
 from ..color.planes import cross_and_dot, is_saturated, length, ratio, spread_and_size
 from ..errors import SettingError
-from .histogram import DEFAULT_ACHROMATIC, LARGEST_ADDEND, SUM_UNIT
+from .defaults import DEFAULT_ACHROMATIC
+from .histogram import LARGEST_ADDEND, SUM_UNIT
 
 Array = NDArray[np.float32]
 Mask = NDArray[np.bool_]

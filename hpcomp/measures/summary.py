@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from ..blending.rules import StackRules
 from ..color.samples import Strip
-from .histogram import DEFAULT_BINS, HueHistogram, hue_histogram
+from .defaults import DEFAULT_BINS
+from .histogram import HueHistogram, hue_histogram
 from .labels import (
     BLOCK_PIXELS,
     MeasureSettings,

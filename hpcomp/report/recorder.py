@@ -26,7 +26,8 @@ from ..geometry import Window
 from ..imagefile.exrscanlines import ExrForm, ExrScanlineWriter
 from ..imagefile.header import PictureHeader
 from ..imagefile.writing import OutputForm
-from ..measures.histogram import DEFAULT_BINS, HueHistogram
+from ..measures.defaults import DEFAULT_BINS
+from ..measures.histogram import HueHistogram
 from ..measures.labels import (
     ENERGY_WEIGHTS,
     Provenance,

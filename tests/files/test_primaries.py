@@ -351,7 +351,7 @@ def test_pictures_written_from_arrays(tmp_path):
 def coded(rgba, name, kind, engine_name, losses):
     """Codes of Rec. 709 by that engine."""
     rules = stack_rules(1, primaries=name)
-    engines = {"kernel": engine._kernel(), "reference": engine.REFERENCE}
+    engines = {"kernel": engine._kernel(), "reference": engine.reference_engine()}
     accumulator = engines[engine_name].start(rules, rgba.shape[1], rgba.shape[0])
     accumulator.add([0], [Strip(rgba)])
     return accumulator.result(kind, losses)
@@ -584,7 +584,7 @@ def test_engines_agree_on_codes_of_wide_gamuts(name, gamut):
     rgba = np.concatenate([*layers_of(20), *(3 * layer for layer in layers_of(2, seed=5))])
     rgba[..., 3] = np.clip(rgba[..., 3], 0, 1)
     found = []
-    for by in (engine._kernel(), engine.REFERENCE):
+    for by in (engine._kernel(), engine.reference_engine()):
         accumulator = by.start(stack_rules(1, primaries=name), rgba.shape[1], rgba.shape[0])
         accumulator.add([0], [Strip(rgba)])
         found.append(accumulator.result("uint8", Losses(), PRIMARIES[gamut]).astype(int))
