@@ -82,7 +82,8 @@ def _piped(stdin: bytes) -> Iterator[dict[int, bytearray]]:
     threads = []
 
     def feed(end: int) -> None:
-        with open(end, "wb") as pipe, contextlib.suppress(BrokenPipeError):
+        # Outside: what a run does not read may be noticed where the pipe is closed.
+        with contextlib.suppress(BrokenPipeError), open(end, "wb") as pipe:
             pipe.write(stdin)
 
     def collect(end: int, into: bytearray) -> None:
