@@ -71,7 +71,7 @@ def machines(tmp_path):
     folder = tmp_path / "machines"
     folder.mkdir()
     found = Machines(folder, _started(folder, "scheduler", "--port", "0", "--host", "127.0.0.1"))
-    until(found.file.exists)
+    until(lambda: found.file.exists() and found.file.read_bytes().endswith(b"}"))
     yield found
     for process in (*found.workers, found.scheduler):
         with contextlib.suppress(ProcessLookupError):
