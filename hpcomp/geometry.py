@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 from .errors import SettingError, unknown_name
@@ -50,6 +51,18 @@ class Window:
             min(self.bottom, other.bottom),
         )
         return common if common.width > 0 and common.height > 0 else None
+
+    def strips(self, rows: int) -> Iterator[Window]:
+        """Its rows from the top, so many at a time."""
+        for begin in range(self.y, self.bottom, rows):
+            yield Window(self.x, begin, self.width, min(rows, self.bottom - begin))
+
+    def blocks(self, pixels: int) -> Iterator[Window]:
+        """All of it in blocks of up to so many pixels: of whole rows, or of parts of one row."""
+        width = min(self.width, pixels)
+        for rows in self.strips(max(1, pixels // self.width)):
+            for left in range(self.x, self.right, width):
+                yield Window(left, rows.y, min(width, self.right - left), rows.height)
 
     def contains(self, other: Window) -> bool:
         return self.intersection(other) == other

@@ -15,8 +15,9 @@ from ..geometry import Window
 from ..imagefile.deepreading import DeepReader
 from ..imagefile.reading import STRIP_ROWS
 from ..imagefile.writing import OutputForm
+from ..layers.budget import THREAD_BYTES, USED_SHARE
 from ..system.threads import reads_ahead, writes_behind
-from .budget import NUMPY_BYTES, THREAD_BYTES, USED_SHARE
+from .budget import NUMPY_BYTES
 
 Counts = NDArray[np.int64]
 

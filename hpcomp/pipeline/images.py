@@ -25,7 +25,6 @@ from ..layers.opening import opened_layer
 from ..options import OutputOptions, RuleOptions
 from ..system.outputs import whole_output
 from ..system.streams import STDIN
-from .strips import row_ranges
 
 
 def read_layer(
@@ -64,8 +63,9 @@ def read_layer(
         reader.work_in(working)
         window = reader.window
         pixels = np.empty((window.height, window.width, 4), np.float32)
-        for begin, end in row_ranges(window, STRIP_ROWS):
-            pixels[begin - window.y : end - window.y] = reader.read_rows(begin, end)
+        for rows in window.strips(STRIP_ROWS):
+            top, bottom = rows.y - window.y, rows.bottom - window.y
+            pixels[top:bottom] = reader.read_rows(rows.y, rows.bottom)
         warn_of_problems(reader, notices)
         warn_of_zeroed([reader], notices)
         return LayerImage(pixels, window, reader.part.display_window)

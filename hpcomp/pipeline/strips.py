@@ -34,14 +34,7 @@ class StackPlan(PicturePlan):
 
     def strips(self) -> Iterator[Window]:
         """The windows of the strips, from the top."""
-        for begin, end in row_ranges(self.window, self.strip_rows):
-            yield Window(self.window.x, begin, self.window.width, end - begin)
-
-
-def row_ranges(window: Window, rows: int) -> Iterator[tuple[int, int]]:
-    """The first row of each strip of a window, and the first one beyond it."""
-    for begin in range(window.y, window.bottom, rows):
-        yield begin, min(begin + rows, window.bottom)
+        return self.window.strips(self.strip_rows)
 
 
 def composite_strips(plan: StackPlan, writer: ImageWriter, observer: Observer) -> Losses:

@@ -1002,7 +1002,7 @@ class TestWrittenExr:
         ]
         made = set()
         for threads, rows in ((1, 64), (1, 5), (2, 16), (3, 7), (4, 90)):
-            monkeypatch.setattr("hpcomp.pipeline.budget.STRIP_ROWS", rows)
+            monkeypatch.setattr("hpcomp.layers.budget.STRIP_ROWS", rows)
             out = tmp_path / "out.exr"
             hpcomp.stack(layers, out, compression=compression, threads=threads)
             made.add(out.read_bytes())

@@ -22,7 +22,7 @@ from tolerances import FLOAT32, assert_near
 
 import hpcomp
 from hpcomp import HpcompWarning, InputError, LayerSpec, MismatchError, SettingError, Window
-from hpcomp.pipeline import budget
+from hpcomp.layers import budget
 
 # A code value is exact, or its neighbour where float32 falls on the other side of a rounding point.
 CODES = 1

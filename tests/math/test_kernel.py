@@ -66,6 +66,7 @@ from hpcomp.errors import HpcompError, HpcompWarning, SettingError
 from hpcomp.kernel import _kernel
 from hpcomp.kernel import fused as kernel
 from hpcomp.options import stack_rules
+from hpcomp.layers import budget as memory
 from hpcomp.pipeline import budget
 from hpcomp.pipeline import strips as strip_pass
 
@@ -907,7 +908,7 @@ class TestStackBytes:
             *cases,
             *((7, 2, 8, level) for level in kernel.levels()),
         ]:
-            monkeypatch.setattr(budget, "STRIP_ROWS", rows)
+            monkeypatch.setattr(memory, "STRIP_ROWS", rows)
             for module in (budget, strip_pass):
                 monkeypatch.setattr(module, "LAYERS_AT_ONCE", at_once)
             monkeypatch.setenv(kernel.LEVEL_VARIABLE, level)
