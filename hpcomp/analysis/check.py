@@ -1,16 +1,18 @@
 """A picture against the layers that it was made from, or against a list of hues. Prints nothing.
 
-It measures what a file holds, strip by strip, and allows for how its samples are quantised: where a
-hue fits nothing, the tolerance widens by what half a code value of each channel can turn it.
+It measures what a file holds, in strips side by side, and allows for how samples are quantised:
+where a hue fits nothing, the tolerance widens by what half a code value of each channel turns it.
 """
 
 from __future__ import annotations
 
 import contextlib
+import logging
 import math
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import product
 from pathlib import PurePath
 from typing import TYPE_CHECKING, Unpack
@@ -21,11 +23,13 @@ from numpy.typing import NDArray
 from ..blending.rules import StackRules
 from ..color.planes import is_saturated, length, spread_and_size
 from ..color.primaries import working_primaries
-from ..color.samples import Decoding, Rgba, Samples, Strip, cropped, decode, linear_rgba, spread
+from ..color.samples import Decoding, Rgba, Samples, Strip, decode, linear_rgba, part_of, spread
 from ..color.spaces import Space
 from ..errors import MismatchError, SettingError
 from ..geometry import Window
-from ..imagefile.reading import LayerReader
+from ..imagefile.reading import STRIP_ROWS, LayerReader
+from ..imagefile.source import codec_threads
+from ..layers.budget import Budget, share_out
 from ..layers.layerspec import LayerSpec, check_stdin, layer_spec
 from ..layers.notices import Notices, warn_of_problems, warn_of_zeroed
 from ..layers.opening import opened_layer
@@ -47,11 +51,21 @@ from ..measures.labels import (
     share,
     summed,
 )
-from ..options import DEFAULTS, OPTIONS, StackOptions, older_spelling, takes_options
+from ..options import (
+    DEFAULTS,
+    OPTIONS,
+    ResourceOptions,
+    StackOptions,
+    older_spelling,
+    takes_options,
+)
 from ..system.streams import STDIN
+from ..system.threads import ThreadPipeline, thread_count
 
 if TYPE_CHECKING:
     from ..keywords import StackKeywords
+
+log = logging.getLogger("hpcomp")
 
 Array = NDArray[np.float32]
 Mask = NDArray[np.bool_]
@@ -63,8 +77,14 @@ DEFAULT_VISIBLE = 0.001
 #: lies between two neighbours of the six pure hues.
 UNCERTAIN_HUE = 30.0
 
-#: Pixels of all layers together that are in memory at a time, unless one block of a file is more.
+#: Pixels of a strip where memory allows: beside shorter ones the allocator gives every array of a
+#: block back to the system, which fills the pages of the next one with zeros.
 STRIP_PIXELS = 1 << 20
+#: Terms of pixels that are measured at a time, so that their planes stay in cache; and the fewest
+#: pixels, below which numpy spends its time on calls.
+BLOCK_TERMS, FEWEST_PIXELS = 1 << 17, 1 << 8
+#: Memory of a pixel while it is decoded and measured, and of each term that it is made of.
+PIXEL_BYTES, TERM_BYTES = 420, 100
 
 
 @dataclass(frozen=True)
@@ -236,9 +256,10 @@ def check(
     """Measures the hues of a picture against the layers that it was made from, or against hues.
 
     `image`: a file, or a LAYER string without `op` and `opacity`. `layers`: as in `stack`, whose
-    options mean the same: those that change no hue, such as `order`, change nothing here. Instead
-    of layers, `hues`: degrees on the axis of `space`, in most spaces that of HSL of the linear
-    colour. At least one rule:
+    options mean the same: those that change no hue, such as `order`, change nothing here.
+    `threads` and `max_memory` are what the check may take; they change no result. Instead of
+    layers, `hues`: degrees on the axis of `space`, in most spaces that of HSL of the linear colour.
+    At least one rule:
     `max_foreign`, `max_gray`: shares in [0, 1] or as `1%` that may not be exceeded;
     `require_hue`: labels that must be seen, degrees or `layer:1` or `layer:NAME`, each in the share
     `visible` of where it could be.
@@ -298,11 +319,9 @@ def check(
         reader.work_in(rules.primaries)
         warn_of_problems(reader, notices)
         placed = _placed_picture(reader, picture, None if stack is None else stack.canvas)
-        gauge = _Gauge(rules, settings, labels, listed)
         below = () if stack is None else stack.layers
-        sums = gauge.none
-        for block in _blocks(placed, below):
-            sums += gauge.measured(*block)
+        gauge = _Gauge(rules, settings, labels, listed)
+        sums = _measured(placed, below, gauge, checked.resources)
         warn_of_zeroed([placed.reader, *(layer.reader for layer in below)], notices)
     result = CheckResult(
         os.fspath(picture.path),
@@ -362,32 +381,48 @@ def _placed_picture(reader: LayerReader, spec: LayerSpec, canvas: Window | None)
     return PlacedLayer(reader, place.x - display.x, place.y - display.y)
 
 
-def _blocks(
-    picture: PlacedLayer, layers: Sequence[PlacedLayer]
-) -> Iterator[tuple[Samples, Decoding, list[Rgba]]]:
-    """The picture's pixels (n, channels) as stored, and those of the layers (n, 4), in blocks."""
+def _measured(
+    picture: PlacedLayer, layers: Sequence[PlacedLayer], gauge: _Gauge, granted: ResourceOptions
+) -> CheckSums:
+    """The sums of the whole picture, whose strips are read and measured side by side.
+
+    Errors: `InputError`, `MismatchError`, also where too little memory is granted.
+    """
+    files = [picture, *layers]
+    readers = [file.reader for file in files]
     window = picture.window
-    at_once = max(layer.reader.rows_at_once for layer in (picture, *layers))
-    wanted = STRIP_PIXELS // (window.width * (len(layers) + 1))
-    rows = max(min(at_once, window.height), wanted - wanted % at_once)
-    for begin in range(window.y, window.bottom, rows):
-        strip = Window(window.x, begin, window.width, min(rows, window.bottom - begin))
-        stored = picture.read(strip)
-        _, broken = linear_rgba(stored)
-        picture.reader.note_nonfinite(begin - picture.dy, broken)
-        samples = stored.samples.reshape(-1, stored.samples.shape[2])
-        colors = [_colors(layer, strip) for layer in layers]
-        for first in range(0, len(samples), BLOCK_PIXELS):
-            block = slice(first, first + BLOCK_PIXELS)
-            yield samples[block], stored.decoding, [color[block] for color in colors]
+    measuring = gauge.block_pixels * gauge.bytes_per_pixel
+    for_each_thread = -(-window.height // thread_count(granted.threads))
+    threads, rows = share_out(
+        readers,
+        window.height,
+        granted,
+        lambda threads: Budget.of_measuring(readers, threads, measuring),
+        "this check",
+        max(STRIP_ROWS, min(STRIP_PIXELS // window.width, for_each_thread)),
+    )
+    log.info("checking %s in strips of %d rows, %d threads", window, rows, threads)
+
+    def read(strip: Window) -> list[Strip]:
+        return [file.read_checked(strip) for file in files]
+
+    sums = gauge.none
+    with (
+        codec_threads(readers, reading=1, writing=1),
+        ThreadPipeline[CheckSums](threads) as pipeline,
+    ):
+        # One source: PNGs are read from the top.
+        reads = ((0, partial(read, strip)) for strip in window.strips(rows))
+        for part in pipeline.read_ahead(reads, partial(gauge.of_strip, go_on=pipeline.go_on)):
+            sums += part
+    return sums
 
 
-def _colors(layer: PlacedLayer, rows: Window) -> Rgba:
-    """(pixels, 4): a layer's pixels in `rows` of the canvas, transparent where it has none."""
-    strip = cropped(layer.read(rows), rows.width, rows.height)
-    rgba, broken = linear_rgba(strip)
-    layer.reader.note_nonfinite(max(rows.y, layer.window.y) - layer.dy, broken)
-    return spread(rgba, strip.left, strip.top, rows.width, rows.height)
+def _colors(strip: Strip, block: Window) -> Rgba:
+    """(pixels, 4): a layer's pixels in a block of the strip, transparent where it has none."""
+    part = part_of(strip, block)
+    rgba, _ = linear_rgba(part)
+    return spread(rgba, part.left, part.top, block.width, block.height)
 
 
 def quantization(samples: Samples, decoding: Decoding, space: Space) -> Array:
@@ -465,6 +500,33 @@ class _Gauge:
     @property
     def none(self) -> CheckSums:
         return CheckSums((LabelSums(),) * len(self.labels))
+
+    @property
+    def _terms(self) -> int:
+        background = self.rules.background is not None
+        return len(self.hues) or len(self.rules.operators) + background
+
+    @property
+    def bytes_per_pixel(self) -> int:
+        """Memory that measuring takes for each pixel of a block."""
+        return PIXEL_BYTES + self._terms * TERM_BYTES
+
+    @property
+    def block_pixels(self) -> int:
+        """Pixels that are measured at a time, of fewer the more terms each has."""
+        return min(BLOCK_PIXELS, max(FEWEST_PIXELS, BLOCK_TERMS // self._terms))
+
+    def of_strip(self, strips: Sequence[Strip], go_on: Callable[[], None]) -> CheckSums:
+        """The sums of a strip: of the picture, which fills it, and of each layer, or none."""
+        picture, *layers = strips
+        height, width = picture.samples.shape[:2]
+        sums = self.none
+        for block in Window(0, 0, width, height).blocks(self.block_pixels):
+            go_on()
+            samples = part_of(picture, block).samples.reshape(-1, picture.samples.shape[2])
+            colors = [_colors(layer, block) for layer in layers]
+            sums += self.measured(samples, picture.decoding, colors)
+        return sums
 
     def measured(self, samples: Samples, decoding: Decoding, layers: Sequence[Rgba]) -> CheckSums:
         """`samples`: (n, channels) of the picture, as stored. `layers`: (n, 4) each, or none."""

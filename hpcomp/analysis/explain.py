@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
@@ -15,10 +17,12 @@ from ..blending.rules import StackRules
 from ..blending.terms import weighted
 from ..color.planes import cross_and_dot
 from ..color.quantization import Losses
-from ..color.samples import OUTPUT_TYPES, Rgba, Strip, cropped, linear_rgba, spread
+from ..color.samples import OUTPUT_TYPES, Rgba, Strip, linear_rgba, spread
 from ..engine import choice as engine
 from ..errors import MismatchError, SettingError
 from ..geometry import FARTHEST, Window
+from ..imagefile.source import codec_threads
+from ..layers.budget import THREAD_BYTES, Budget, share_out
 from ..layers.canvas import output_window
 from ..layers.layerspec import LayerSpec
 from ..layers.notices import Notices, warn_of_zeroed
@@ -30,10 +34,13 @@ from ..measures.labels import (
     measure_settings,
     measures_of,
 )
-from ..options import OPTIONS, StackOptions, takes_options
+from ..options import OPTIONS, ResourceOptions, StackOptions, takes_options
+from ..system.threads import ThreadPipeline, thread_count
 
 if TYPE_CHECKING:
     from ..keywords import StackKeywords
+
+log = logging.getLogger("hpcomp")
 
 Array = NDArray[np.floating[Any]]
 
@@ -176,9 +183,10 @@ def explain(
     """Says how one pixel of `stack` comes about, reading no more rows than that needs.
 
     `layers`: as in `stack`, whose options mean the same: those that change no pixel, such as
-    `compression`, change nothing here. `at`: the pixel, `X,Y` or two ints, in coordinates of the
-    canvas. `foreign_tolerance`: degrees between p vectors within which a hue is a layer's, twice
-    the hue tolerance if not given and the space's `gamut_turn` more.
+    `compression`, change nothing here. `threads` and `max_memory` are what the reading may take.
+    `at`: the pixel, `X,Y` or two ints, in coordinates of the canvas. `foreign_tolerance`: degrees
+    between p vectors within which a hue is a layer's, twice the hue tolerance if not given and the
+    space's `gamut_turn` more.
     Returns: the `PixelExplanation`, its colours linear and premultiplied.
     Errors: `SettingError`, `InputError`, `MismatchError` for a pixel outside the canvas.
     Warnings: `HpcompWarning`; errors with `strict`.
@@ -205,7 +213,7 @@ def explain(
             raise MismatchError(
                 f"pixel {x},{y} is outside the canvas {window}: choose one within it"
             )
-        strips = [_pixel_of(layer, x, y) for layer in stack.layers]
+        strips = _stored(stack.layers, x, y, rules, checked.resources)
         pixels = [_linear(strip) for strip in strips]
         warn_of_zeroed([layer.reader for layer in stack.layers], notices)
     trace = _Trace(rules, pixels)
@@ -226,12 +234,40 @@ def explain(
     )
 
 
+def _stored(
+    layers: Sequence[PlacedLayer], x: int, y: int, rules: StackRules, granted: ResourceOptions
+) -> list[Strip]:
+    """One pixel as the layers' files hold it, read side by side within what is granted.
+
+    Errors: `MismatchError` where that is too little.
+    """
+    readers = [layer.reader for layer in layers]
+
+    def budget(threads: int) -> Budget:
+        return Budget(
+            # As many as a file holds together, where its codec unpacks these.
+            per_row=threads * max(reader.bytes_per_row for reader in readers),
+            fixed=sum(reader.bytes_held for reader in readers)
+            + threads * (max(reader.bytes_to_decode for reader in readers) + THREAD_BYTES)
+            + engine.REFERENCE.bytes_to_reduce(rules, len(readers)),
+        )
+
+    block = max(reader.rows_at_once for reader in readers)
+    useful = replace(granted, threads=min(thread_count(granted.threads), len(layers)))
+    threads, _ = share_out(readers, block, useful, budget, "this pixel")
+    log.info("reading a pixel of %d layers, %d threads", len(layers), threads)
+    reads = ((number, partial(_pixel_of, layer, x, y)) for number, layer in enumerate(layers))
+    with (
+        codec_threads(readers, reading=1, writing=1),
+        ThreadPipeline[Strip](threads) as pipeline,
+    ):
+        return list(pipeline.read_ahead(reads))
+
+
 def _pixel_of(layer: PlacedLayer, x: int, y: int) -> Strip:
     """One pixel as a layer's file holds it; a strip without samples where it has none."""
-    strip = cropped(layer.read(Window(x, y, 1, 1)), 1, 1)
-    _, broken = linear_rgba(strip)
-    layer.reader.note_nonfinite(y - layer.dy, broken)
-    return strip
+    strip = layer.read_checked(Window(x, y, 1, 1))
+    return replace(strip, samples=strip.samples.copy())  # its row is not kept
 
 
 def _linear(strip: Strip) -> Rgba:

@@ -5,26 +5,30 @@ from __future__ import annotations
 import logging
 import os
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 
-from ..color.samples import Strip, linear_rgba
+from ..color.samples import Strip, linear_rgba, part_of
 from ..errors import SettingError
+from ..geometry import Window
 from ..imagefile.interpretation import check_nonfinite
-from ..imagefile.reading import STRIP_ROWS, LayerReader
 from ..imagefile.source import codec_threads
+from ..layers.budget import DECODING_BYTES, RGBA_BYTES, Budget, share_out
 from ..layers.layerspec import LayerSpec, check_stdin, layer_spec
 from ..layers.notices import Notices, warn_of_problems, warn_of_zeroed
 from ..layers.opening import opened_layer
+from ..layers.placing import Layer, PlacedLayer
 from ..measures.defaults import DEFAULT_ACHROMATIC, DEFAULT_BINS
 from ..measures.histogram import HueHistogram, hue_histogram
-from ..options import RuleOptions
+from ..options import ResourceOptions, RuleOptions
 from ..system.streams import STDIN, STDOUT
-from ..system.threads import ThreadPipeline, thread_count
+from ..system.threads import ThreadPipeline
 
 log = logging.getLogger("hpcomp")
 
-Layer = LayerSpec | str | os.PathLike[str]
+#: Pixels that are decoded and counted at a time, and the memory that this takes.
+BLOCK_PIXELS = 1 << 14
+MEASURING_BYTES = BLOCK_PIXELS * (RGBA_BYTES + DECODING_BYTES + 100)
 
 #: Settings of a layer that say what a stack does with it, and nothing of what it looks like.
 STACK_SETTINGS = ("op", "opacity", "at")
@@ -80,26 +84,22 @@ def read_hues(
     nonfinite: str = RuleOptions.nonfinite,
     strict: bool = RuleOptions.strict,
     threads: int | None = None,
+    max_memory: str | int = ResourceOptions.max_memory,
 ) -> HueHistogram:
     """Counts the pixels of a file by hue, as `hpcomp hues` does; memory does not follow its height.
 
     `path`: a file, a LAYER string or a `LayerSpec`; all pixels of its data window count.
     `bins`, `space`, `achromatic`: as in `hue_histogram`. `nonfinite`: `error`, `zero` or `keep`,
     for NaN and Inf. `strict`: warnings become errors. `threads`: all cores if None.
-    Returns: a `HueHistogram`, the same for any number of threads.
+    `max_memory`: for pixels and codecs, in bytes or as `512M`; where it is short, there are fewer
+    threads, and fewer rows at a time.
+    Returns: a `HueHistogram`, the same for any number of threads and any memory.
     Errors: `SettingError`, `InputError`, `MismatchError`. Warnings: `HpcompWarning`.
     """
     spec = measured_image(path)
     check_nonfinite(nonfinite)
-    n_threads = thread_count(threads)
-    total = HueHistogram.empty(bins, space, achromatic)
-
-    def measured(read: tuple[int, Strip]) -> _Measured:
-        begin, strip = read
-        rgba, broken = linear_rgba(strip)
-        part = hue_histogram(rgba, bins=bins, space=space, achromatic=achromatic)
-        return begin, part, broken
-
+    granted = ResourceOptions(threads, max_memory)
+    none = total = HueHistogram.empty(bins, space, achromatic)
     notices = Notices(strict)
     begun = time.perf_counter()
     with (
@@ -107,10 +107,20 @@ def read_hues(
         codec_threads([reader], reading=1, writing=1),
     ):
         warn_of_problems(reader, notices)
+        n_threads, rows = share_out(
+            [reader],
+            reader.window.height,
+            granted,
+            lambda threads: Budget.of_measuring([reader], threads, MEASURING_BYTES),
+            reader.label,
+        )
+        picture = PlacedLayer(reader, 0, 0)
+        reads = ((0, partial(picture.read_checked, strip)) for strip in picture.window.strips(rows))
         # Closed before the reader is: no thread reads on behind a failure.
-        with ThreadPipeline[_Measured](n_threads) as pipeline:
-            for begin, part, broken in pipeline.read_ahead(_reads(reader), measured):
-                reader.note_nonfinite(begin, broken)
+        with ThreadPipeline[HueHistogram](n_threads) as pipeline:
+            for part in pipeline.read_ahead(
+                reads, partial(_measured, total=none, go_on=pipeline.go_on)
+            ):
                 total += part
         warn_of_zeroed([reader], notices)
         log.info(
@@ -125,17 +135,13 @@ def read_hues(
     return total
 
 
-#: A strip's first row, its histogram, and how many of its pixels are stored with NaN or Inf.
-_Measured = tuple[int, HueHistogram, int]
-
-
-def _reads(reader: LayerReader) -> Iterator[tuple[int, Callable[[], tuple[int, Strip]]]]:
-    """What reads each strip and tells its first row; all of one source."""
-
-    def read(begin: int, end: int) -> tuple[int, Strip]:
-        return begin, Strip(reader.read_samples(begin, end), reader.decoding)
-
-    block, window = reader.rows_at_once, reader.window
-    rows = -(-STRIP_ROWS // block) * block  # whole blocks: none is decoded twice
-    for begin in range(window.y, window.bottom, rows):
-        yield 0, partial(read, begin, min(begin + rows, window.bottom))
+def _measured(strip: Strip, total: HueHistogram, go_on: Callable[[], None]) -> HueHistogram:
+    """The histogram of a strip, like the empty `total`; decoded in blocks, which stay in cache."""
+    height, width = strip.samples.shape[:2]
+    for block in Window(0, 0, width, height).blocks(BLOCK_PIXELS):
+        go_on()
+        rgba, _ = linear_rgba(part_of(strip, block))
+        total += hue_histogram(
+            rgba, bins=total.bins, space=total.space, achromatic=total.achromatic
+        )
+    return total

@@ -23,11 +23,12 @@ from ..color.planes import cross_and_dot, is_saturated, saturation, spread_and_s
 from ..engine.arrays import composite
 from ..errors import MismatchError, SettingError
 from ..layers.layerspec import LayerSpec
+from ..layers.placing import Layer
 from ..measures.defaults import DEFAULT_ACHROMATIC
 from ..measures.labels import measure_settings
 from ..options import RuleOptions, older_spelling, stack_rules
 from ..system.streams import STDIN, STDOUT
-from .hues import Layer, images_to_measure, read_hues
+from .hues import images_to_measure, read_hues
 
 Floats = NDArray[np.floating[Any]]
 Color = str | Sequence[float]

@@ -16,10 +16,10 @@ from .options import LayerCommand, format_option, message_options, print_data
 from .signals import load
 from .stackoptions import depfile_options, other_options, stack_options
 
-#: The options of a stack that change what is measured.
+#: The options of a stack that change what is measured, and what that may take.
 CHECKED = (
     *("op", "space", "primaries", "hue_tolerance", "exposure", "region", "canvas", "background"),
-    *("nonfinite", "strict"),
+    *("nonfinite", "strict", "threads", "max_memory"),
 )
 
 SHORT_HELP = "Fail if a picture has lost the hues of its layers."

@@ -11,11 +11,11 @@ from .options import LayerCommand, format_option, message_options, print_data
 from .signals import load
 from .stackoptions import other_options, stack_options
 
-#: The options of a stack that change what is said.
+#: The options of a stack that change what is said, and what that may take.
 EXPLAINED = (
     *("op", "blending", "order", "space", "primaries", "hue_tolerance", "gray_bias"),
     *("foreign_tolerance", "exposure", "region", "canvas", "overscan", "background"),
-    *("nonfinite", "strict"),
+    *("nonfinite", "strict", "threads", "max_memory"),
 )
 HELP = {
     "foreign_tolerance": "A hue this near to a layer's is that layer's: twice the hue tolerance if "

@@ -102,7 +102,7 @@ formats:
         "transparent), keep (it is counted as such)."
     },
 )
-@stack_options("strict", "threads")
+@stack_options("strict", "threads", "max_memory")
 @make_options
 @message_options
 @click.pass_context

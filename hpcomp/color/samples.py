@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..geometry import Window
 from .encodings import LINEAR_REC709, ColorEncoding
 from .primaries import REC709, Primaries, converted, to_xyz
 from .quantization import Losses, to_half_range, to_straight_srgb
@@ -126,12 +127,7 @@ def linear_rgba(strip: Strip) -> tuple[Rgba, int]:
 
     Those become transparent black where its decoding says so; every alpha but NaN is in [0, 1].
     """
-    broken, count = None, 0
-    if strip.samples.dtype.kind == "f":
-        finite = np.isfinite(strip.samples)
-        if not finite.all():
-            broken = np.asarray(~finite.all(axis=-1))
-            count = int(broken.sum())
+    broken = nonfinite_pixels(strip.samples)
     if strip.samples.dtype == np.float64:  # arrays of the API, never files
         rgba = strip.samples.copy()
         np.clip(rgba[..., 3], 0, 1, out=rgba[..., 3])
@@ -139,7 +135,15 @@ def linear_rgba(strip: Strip) -> tuple[Rgba, int]:
         rgba = decode(strip.samples, strip.decoding)
     if broken is not None and strip.decoding.zero_nonfinite:
         rgba[broken] = 0
-    return rgba, count
+    return rgba, 0 if broken is None else int(broken.sum())
+
+
+def nonfinite_pixels(samples: Samples) -> NDArray[np.bool_] | None:
+    """Which pixels (rows, columns) are stored with NaN or Inf; None where none is."""
+    if samples.dtype.kind != "f":
+        return None
+    finite = np.isfinite(samples)
+    return None if finite.all() else np.asarray(~finite.all(axis=-1))
 
 
 def cropped(strip: Strip, width: int, height: int) -> Strip:
@@ -153,6 +157,12 @@ def cropped(strip: Strip, width: int, height: int) -> Strip:
         top - strip.top : bottom - strip.top, left - strip.left : right - strip.left
     ]
     return replace(strip, samples=inside, left=left, top=top)
+
+
+def part_of(strip: Strip, part: Window) -> Strip:
+    """What of `strip` lies on that part of its canvas strip, and where on it; as `cropped`."""
+    moved = replace(strip, left=strip.left - part.x, top=strip.top - part.y)
+    return cropped(moved, part.width, part.height)
 
 
 def spread(rgba: Rgba, left: int, top: int, width: int, height: int) -> Rgba:

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..blending.rules import StackRules
 from ..color.primaries import BOTTOM
-from ..color.samples import Strip
+from ..color.samples import Strip, cropped, nonfinite_pixels
 from ..errors import SettingError
 from ..geometry import Window
 from ..imagefile.reading import LayerReader
@@ -52,6 +52,17 @@ class PlacedLayer:
         begin = common.y - self.dy
         samples = self.reader.read_samples(begin, begin + common.height)
         return Strip(samples, self.reader.decoding, self.window.x - rows.x, common.y - rows.y)
+
+    def read_checked(self, rows: Window) -> Strip:
+        """What the layer has of `rows` and of no column beside them; the samples are a view.
+
+        Errors: also `MismatchError`, for NaN and Inf where the policy refuses them.
+        """
+        strip = cropped(self.read(rows), rows.width, rows.height)
+        broken = nonfinite_pixels(strip.samples)
+        if broken is not None:
+            self.reader.note_nonfinite(max(rows.y, self.window.y) - self.dy, int(broken.sum()))
+        return strip
 
 
 @dataclass(frozen=True)

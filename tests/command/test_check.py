@@ -3,6 +3,8 @@
 import dataclasses
 import itertools
 import json
+import logging
+import re
 import warnings
 from pathlib import Path
 
@@ -128,13 +130,41 @@ def test_exposure_is_part_of_the_picture(layers):
     assert hpcomp.check("dark.exr", layers, max_grey=1).grey_share > same.grey_share
 
 
-def test_strips_do_not_show(layers, monkeypatch):
+def test_strips_and_threads_do_not_show(layers, monkeypatch, caplog):
+    """Blocks are of whole rows, or of parts of one."""
+    caplog.set_level(logging.INFO, "hpcomp")
+    asked = {"max_foreign": 1, "require_hue": ["20"], "canvas": "70x48-3-5"}
+    hpcomp.stack(layers, "out.png", blending="traditional", canvas=asked["canvas"])
+    whole = hpcomp.check("out.png", layers, **asked)
+    assert "checking 70x48-3-5 in strips of 64 rows" in caplog.text
+    monkeypatch.setattr(checking, "STRIP_ROWS", 1)
+    for rows, block, threads in itertools.product((16, 32), (30, 300), (1, 2)):
+        monkeypatch.setattr(checking, "STRIP_PIXELS", rows * 70)
+        monkeypatch.setattr(checking, "BLOCK_PIXELS", block)
+        caplog.clear()
+        assert hpcomp.check("out.png", layers, threads=threads, **asked) == whole
+        assert f"in strips of {rows} rows, {threads} threads" in caplog.text
+
+
+def test_memory_does_not_show(layers, monkeypatch, caplog):
+    """The least there must be leaves one thread, and one compression block at a time."""
+    caplog.set_level(logging.INFO, "hpcomp")
     hpcomp.stack(layers, "out.png", blending="traditional")
-    whole = hpcomp.check("out.png", layers, max_foreign=1, require_hue=["20"])
-    for pixels in (1, 7 * 4 * SIZE[0]):
-        monkeypatch.setattr(checking, "STRIP_PIXELS", pixels)
-        monkeypatch.setattr(checking, "BLOCK_PIXELS", 100)
-        assert hpcomp.check("out.png", layers, max_foreign=1, require_hue=["20"]) == whole
+    for against in ({"layers": layers}, {"hues": "0,120,240"}):
+        whole = hpcomp.check("out.png", **against, max_foreign=1)
+        with pytest.raises(MismatchError, match=r"this check needs at least \d+M.*--max-memory") as refusal:
+            hpcomp.check("out.png", **against, max_foreign=1, threads=3, max_memory="64K")
+        least = re.search(r"at least (\d+M)", str(refusal.value))[1]
+        caplog.clear()
+        assert hpcomp.check("out.png", **against, max_foreign=1, threads=3, max_memory=least) == whole
+        assert "rows, 1 threads" in caplog.text
+
+
+def test_many_layers_are_measured_in_small_blocks(layers):
+    """Their number decides how much is read, and not how much is measured at a time."""
+    hpcomp.stack(layers * 70, "out.png", order="top-down")
+    found = hpcomp.check("out.png", layers * 70, max_foreign=0, threads=1, max_memory="48M")
+    assert found.passed
 
 
 def test_operators_and_opacities_weigh_the_layers(layers):

@@ -2,7 +2,9 @@
 
 import itertools
 import json
+import logging
 import math
+import re
 
 import exrfile
 import numpy as np
@@ -97,11 +99,34 @@ def test_only_the_rows_of_the_pixel_are_read(files, monkeypatch):
         return read(reader, begin, end)
 
     monkeypatch.setattr(LayerReader, "read_samples", watched)
-    hpcomp.explain(files, (3, 2))
+    hpcomp.explain(files, (3, 2), threads=1)
     assert asked == [(2, 3), (2, 3), (2, 3), (1, 2)]  # the last one is placed a row lower
     asked.clear()
     hpcomp.explain(files, (0, 0))
     assert asked == [(0, 1)] * 3
+
+
+def test_neither_threads_nor_memory_show(files, caplog):
+    caplog.set_level(logging.INFO, "hpcomp")
+    pixel = hpcomp.explain(files, (3, 2), threads=1)
+    with pytest.raises(MismatchError, match=r"this pixel needs at least \d+M.*--max-memory") as refusal:
+        hpcomp.explain(files, (3, 2), max_memory="64K")
+    least = re.search(r"at least (\d+M)", str(refusal.value))[1]
+    for threads, memory, used in ((1, "1G", 1), (3, "1G", 3), (99, "1G", 4), (3, least, 1)):
+        caplog.clear()
+        assert hpcomp.explain(files, (3, 2), threads=threads, max_memory=memory) == pixel
+        assert f"reading a pixel of 4 layers, {used} threads" in caplog.text
+
+
+def test_the_first_failure_is_that_of_the_first_layer(files):
+    """On any number of threads."""
+    pixels = np.full((*SIZE[::-1], 4), 0.25)
+    pixels[2, 3] = np.nan
+    for name in ("b.exr", "c.exr"):
+        hpcomp.write_image(name, pixels)
+    for threads in (1, 3):
+        with pytest.raises(MismatchError, match=r"layer 1 \(b.exr\): 1 pixel is NaN"):
+            hpcomp.explain([files[0], "b.exr", "c.exr"], (3, 2), threads=threads)
 
 
 # ---- what it says --------------------------------------------------------------------------------

@@ -1,4 +1,4 @@
-"""The memory that `hpcomp stack` takes: peaks of its process, measured from outside."""
+"""The memory that commands take: peaks of their process, measured from outside."""
 
 from __future__ import annotations
 
@@ -220,23 +220,6 @@ def test_number_of_layers_does_not_matter(peak, order, threads):
     assert many - few <= 20 * 1.0
 
 
-def check_peak(picture, layers):
-    """The peak of `hpcomp check`, in MiB."""
-    most, *end = processes.peak("check", picture, *layers, "--max-foreign", "1")
-    assert end == [0, ""]
-    return most
-
-
-@pytest.mark.parametrize("ending", ENDINGS)
-def test_height_does_not_matter_to_a_check(files, ending):
-    """Four times the rows of a picture and two layers; whole, they would take 120 MiB more."""
-    low, high = (
-        check_peak(files(f"{name}.{ending}"), [files(f"{name}.{ending}")] * 2)
-        for name in ("wide", "tall")
-    )
-    assert high - low <= 12
-
-
 # ---- reports --------------------------------------------------------------------------------
 
 
@@ -325,3 +308,86 @@ def test_minimum_is_no_more_than_it_takes(files, tmp_path):
     layers = [files("wide.exr")] * 4
     _, code, stderr = run(layers, tmp_path / "out.exr", "--threads", 1, "--max-memory", "16M")
     assert (code, stderr) == (0, "")
+
+
+# ---- commands that write no picture ---------------------------------------------------------
+
+
+def arguments(command, path, at):
+    """A command, and how it reads a file: `check` reads four in all, and `explain` three."""
+    return {
+        "check": ["check", path, path, path, path, "--max-foreign", "1"],
+        "check hues": ["check", path, "--hues", "0,120,240", "--max-foreign", "1"],
+        "hues": ["hues", path, "--format", "json"],
+        "explain": ["explain", path, path, path, "--at", at],
+    }[command]
+
+
+COMMANDS = ["check", "check hues", "hues", "explain"]
+
+
+@pytest.fixture
+def reading_peak(files):
+    """reading_peak(command, name, budget, threads, *options): as `peak`."""
+
+    def measured(command, name, memory, threads, *options):
+        path, colons, settings = name.partition("::")
+        settings = f"{colons}{settings}"
+        small = "tiny interlaced.png" if "interlaced" in name else f"tiny.{path[-3:]}"
+        options = (*options, "--threads", threads)
+        base, *end = processes.peak(*arguments(command, f"{files(small)}{settings}", "3,3"), *options)
+        assert end == [0, ""]
+        most, *end = processes.peak(
+            *arguments(command, f"{files(path)}{settings}", "450,250"), *options,
+            "--max-memory", f"{memory}M",
+        )  # fmt: skip
+        assert end == [0, ""]
+        return most - base
+
+    return measured
+
+
+@pytest.mark.slow
+@pytest.mark.pairwise
+@pytest.mark.parametrize("threads", [1, 2, 5])
+@pytest.mark.parametrize(
+    "name",
+    ["tall.png", "tall.exr", "float.exr", "noise.exr", "interlaced.png", "blocks.exr",
+     "tall.exr::colorspace=acescg", "tall.png::alpha=premultiplied-encoded",
+     "wide.exr::alpha=luminance"],
+)  # fmt: skip
+@pytest.mark.parametrize("command", COMMANDS)
+def test_a_command_that_reads_stays_in_the_budget(reading_peak, command, name, threads):
+    """Of the tall ones the check would take 50 MiB as they are stored, and 200 as it decodes them."""
+    assert reading_peak(command, name, 48, threads) <= 48
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_a_command_that_reads_stays_in_a_small_budget(reading_peak, command):
+    assert reading_peak(command, "tall.exr", 24, 2) <= 24
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("space", ["oklab", "cielab"])
+@pytest.mark.parametrize("command", ["check", "hues"])
+def test_a_space_that_is_not_linear_stays_in_the_budget(reading_peak, command, space):
+    assert reading_peak(command, "tall.png", 48, 2, "--space", space) <= 48
+
+
+@pytest.mark.slow
+@pytest.mark.pairwise
+@pytest.mark.parametrize("threads", [1, 2])
+@pytest.mark.parametrize("name", ["interlaced.png", "blocks.exr", "tiles.exr", "wide.exr"])
+@pytest.mark.parametrize("command", COMMANDS)
+def test_minimum_of_a_command_that_reads(reading_peak, files, command, name, threads):
+    asked = [*arguments(command, files(name), "450,250"), "--threads", threads, "--max-memory"]
+    _, code, stderr = processes.peak(*asked, "64K")
+    assert code == 4
+    assert stderr.count("\n") == 1
+    found = re.search(r"^hpcomp: error: .*needs at least (\d+)M.*: raise --max-memory, which is 0M", stderr)
+    assert found, stderr
+    least = int(found[1])
+    _, code, stderr = processes.peak(*asked, f"{(least - 1) * 1024}K")
+    assert code == 4
+    assert f"at least {least}M" in stderr
+    assert reading_peak(command, name, least, threads) <= least + NOISE_M

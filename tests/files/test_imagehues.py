@@ -1,5 +1,8 @@
 """Hue histograms of files: read in strips, on any number of threads, with the keys of a LAYER."""
 
+import logging
+import re
+
 import exrfile
 import numpy as np
 import pngfile
@@ -7,6 +10,7 @@ import pytest
 
 import hpcomp
 from hpcomp import InputError, MismatchError, SettingError, hue_histogram, read_hues
+from hpcomp.analysis import hues as imagehues
 
 
 def noise(height, width, seed=5):
@@ -36,6 +40,29 @@ def test_histogram_of_a_file_is_that_of_its_pixels(tmp_path, threads, height, co
     assert read_hues(path, threads=threads) == hue_histogram(whole)
     settings = {"bins": 90, "achromatic": 0.2}
     assert read_hues(path, threads=threads, **settings) == hue_histogram(whole, **settings)
+
+
+@pytest.mark.parametrize("compression", ["none", "zip", "dwab"])
+def test_memory_does_not_show(tmp_path, compression, caplog):
+    """The least there must be leaves one thread, and one compression block at a time."""
+    caplog.set_level(logging.INFO, "hpcomp")
+    path = exr(tmp_path / "a.exr", noise(300, 31), compression=compression)
+    whole = read_hues(path)
+    with pytest.raises(MismatchError, match=r"a.exr needs at least \d+M.*--max-memory") as refusal:
+        read_hues(path, threads=3, max_memory="64K")
+    least = re.search(r"at least (\d+M)", str(refusal.value))[1]
+    caplog.clear()
+    assert read_hues(path, threads=3, max_memory=least) == whole
+    assert caplog.text.rstrip().endswith(", 1 threads")
+
+
+def test_blocks_do_not_show(tmp_path, monkeypatch):
+    """Of whole rows, and of parts of one."""
+    path = exr(tmp_path / "a.exr", noise(70, 31))
+    whole = read_hues(path)
+    for pixels in (7, 31, 100):
+        monkeypatch.setattr(imagehues, "BLOCK_PIXELS", pixels)
+        assert read_hues(path) == whole
 
 
 @pytest.mark.parametrize("png", pngfile.every_kind(), ids=pngfile.name_of)
@@ -104,6 +131,7 @@ def test_the_first_failure_is_that_of_the_first_strip_on_any_number_of_threads(t
     ("settings", "words"),
     [
         ({"threads": 0}, "threads 0 is below 1"),
+        ({"max_memory": "much"}, "'much' is not an amount of memory"),
         ({"nonfinite": "drop"}, "unknown nonfinite policy 'drop'"),
         ({"bins": 2}, "bins 2"),
         ({"space": "rgb"}, "unknown blending space"),

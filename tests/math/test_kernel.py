@@ -65,8 +65,8 @@ from hpcomp.engine import reference
 from hpcomp.errors import HpcompError, HpcompWarning, SettingError
 from hpcomp.kernel import _kernel
 from hpcomp.kernel import fused as kernel
-from hpcomp.options import stack_rules
 from hpcomp.layers import budget as memory
+from hpcomp.options import stack_rules
 from hpcomp.pipeline import budget
 from hpcomp.pipeline import strips as strip_pass
 
