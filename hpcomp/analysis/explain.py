@@ -249,7 +249,7 @@ def _stored(
             per_row=threads * max(reader.bytes_per_row for reader in readers),
             fixed=sum(reader.bytes_held for reader in readers)
             + threads * (max(reader.bytes_to_decode for reader in readers) + THREAD_BYTES)
-            + engine.REFERENCE.bytes_to_reduce(rules, len(readers)),
+            + engine.reference_engine().bytes_to_reduce(rules, len(readers)),
         )
 
     block = max(reader.rows_at_once for reader in readers)
