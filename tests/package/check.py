@@ -150,7 +150,7 @@ def check_contents(sdist: Path, wheel: Path, python: Python) -> None:
     assert pages <= set(names), f"the wheel lacks {sorted(pages - set(names))}"
     modules = {Path(name) for name in tracked if re.fullmatch(r"hpcomp/.*\.py", name)}
     assert modules <= set(names), f"the wheel lacks {sorted(modules - set(names))}"
-    allowed = {".py", ".so", ".typed", ".css", ".js", ".1", ".5", ".7"}
+    allowed = {".py", ".pyi", ".so", ".typed", ".css", ".js", ".1", ".5", ".7"}
     for name in names:
         if name.parts[0] != f"{stem}.dist-info":
             assert name.suffix in allowed, f"the wheel has {name}"
