@@ -13,7 +13,8 @@ __all__ = ["Markup", "Node", "digits", "h", "isolated", "lines", "rendered"]
 
 def rendered(document: h.HTMLElement) -> bytes:
     """A page, UTF-8; what cannot be seen or would turn letters is spelt out, however it came in."""
-    doctype, html, rest = str(document).partition("<html")
+    # As plain text: markupsafe before 3.0 escapes what is looked for in markup.
+    doctype, html, rest = str.partition(str(document), "<html")
     text = f"{doctype}\n{html}{rest}\n"
     return "\n".join(map(printable, text.split("\n"))).encode()
 
