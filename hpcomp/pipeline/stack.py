@@ -39,19 +39,13 @@ def stack(
     `layers`: LAYER strings, paths or `LayerSpec`. `output`: a path ending in .png or .exr, or `-`
     for stdout with `format`. The options are those of `hpcomp stack` and mean the same; `asked` has
     them as a whole, and the keywords go first.
-    `primaries` are those that colours are blended in and an EXR is written in, `bottom` those of
-    the bottom layer; `out_primaries` those of a PNG, Rec. 709 if None. `background` is a CSS
-    colour, opaque, or straight linear RGB in these primaries, in Rec. 709 with `bottom`;
-    `max_memory` is in bytes, or `512M`, `1G`.
-    `report`: one path or several, each ending in .txt, .json, .csv, .svg, .png, .pdf or .html, for
-    what blending did to the hues; `foreign_tolerance` in degrees (twice `hue_tolerance` if None,
-    more in oklab and cielab), `achromatic` in [0, 1], `energy_weights` of red, green and blue, and
-    `bins` decide what it counts (0.02, an estimate and 360 if None); `command` is what it says made
-    it.
-    `provenance`: a path ending in .exr, for the layer whose hue survived in each pixel.
-    `depfile`: a path for a rule of make that says what was read; `depfile_target`: of what, the
-    output if empty. `write_if_changed`: outputs that have the new bytes already are left as they
-    are. SOURCE_DATE_EPOCH in the environment is the only date that is written.
+    `background`: a CSS colour, opaque, or straight linear RGB in the working primaries, in Rec. 709
+    where these are `bottom`. `max_memory`: in bytes, or `512M`, `1G`.
+    `report`: one path or several, whose endings name the formats. `foreign_tolerance` in degrees
+    (twice `hue_tolerance` if None, more in oklab and cielab), `achromatic` in [0, 1],
+    `energy_weights` of red, green and blue, and `bins` decide what reports count (0.02, an estimate
+    and 360 if None). `command` is what they say made the picture. `provenance`: a path in .exr.
+    SOURCE_DATE_EPOCH in the environment is the only date that is written.
     Returns: what was written, and the findings of a report. Nothing but complete files appear.
     Errors: `SettingError`, `InputError`, `MismatchError`, `OutputError`.
     Warnings: `HpcompWarning`; errors with `strict`.
