@@ -86,14 +86,14 @@ def _merged_colors(
     of_large = np.repeat(large, counts)
     made = np.empty((len(counts), 4), np.float32)
     made[~large] = add(counts[~large], rgba[~of_large])
-    found, lengths = rgba[of_large], counts[large]
-    _, p = rules.blending_space.forward(found[:, :3].T.astype(float))
+    colors, lengths = rgba[of_large], counts[large]
+    _, p = rules.blending_space.forward(colors[:, :3].T.astype(float))
     run = np.repeat(np.arange(len(lengths)), lengths)
-    by_hue = np.lexsort((*found.T, np.arctan2(p[1], p[0]), run))
+    by_hue = np.lexsort((*colors.T, np.arctan2(p[1], p[0]), run))
     groups = -(-lengths // MOST_AT_ONCE)
     group = np.arange(groups.sum()) - np.repeat(np.cumsum(groups) - groups, groups)
     size, longer = np.repeat(lengths // groups, groups), np.repeat(lengths % groups, groups)
-    added = add(size + (group < longer), found[by_hue])
+    added = add(size + (group < longer), colors[by_hue])
     made[large] = _merged_colors(rules, go_on, groups, added)
     return made
 

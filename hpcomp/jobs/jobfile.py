@@ -63,10 +63,10 @@ def read_jobs(path: str | os.PathLike[str], *, format: str | None = None) -> lis
     except UnicodeDecodeError as reason:
         line = data.count(b"\n", 0, reason.start) + 1
         raise InputError(f"{label}:{line}: is not text in UTF-8") from None
-    found = list(reader(label, text))
-    if not found:
+    jobs = list(reader(label, text))
+    if not jobs:
         raise SettingError(f"{label}: there are no jobs in it")
-    return found
+    return jobs
 
 
 def _format(path: str, format: str | None) -> str:
@@ -164,12 +164,12 @@ def _parsed_json(label: str, first_line: int, text: str) -> Any:
 
 
 def _no_key_twice(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    found: dict[str, Any] = {}
+    table: dict[str, Any] = {}
     for key, value in pairs:
-        if key in found:
+        if key in table:
             raise SettingError(f"key '{key}' stands twice in one table")
-        found[key] = value
-    return found
+        table[key] = value
+    return table
 
 
 def _jsonl(label: str, text: str) -> Iterator[Job]:

@@ -31,13 +31,13 @@ class Lines:
         Before it the text has as many such keys as the document.
         """
         wanted, before = None, 0
-        for top, found, name in _walk(self.document):
-            if found is table and name == key:
+        for top, holder, name in _walk(self.document):
+            if holder is table and name == key:
                 wanted = top if self.by_table else ""
                 break
-        for top, found, name in _walk(self.document):
+        for top, holder, name in _walk(self.document):
             if name == key and (not self.by_table or top == wanted):
-                if found is table:
+                if holder is table:
                     break
                 before += 1
         positions = [

@@ -262,15 +262,15 @@ class MisplacedError(SettingError):
 
 def checked_table(table: Mapping[str, Any], keys: Mapping[str, Any], kind: str) -> dict[str, Any]:
     """The table with every key and the type of its value checked."""
-    found = {}
+    checked = {}
     for key, value in table.items():
         try:
             if key not in keys:
                 raise unknown_key(kind, key, keys)
-            found[key] = _checked(key, value, keys[key])
+            checked[key] = _checked(key, value, keys[key])
         except SettingError as problem:
             raise MisplacedError(str(problem), table, key) from None
-    return found
+    return checked
 
 
 def _layer(number: int, layer: Any, table: Mapping[str, Any], typed: bool) -> LayerSpec:
@@ -378,16 +378,16 @@ def jobs_of(tables: Sequence[Mapping[str, Any] | Job]) -> list[Job]:
 
     Errors: `SettingError` names the job, counted from 1.
     """
-    found = []
+    jobs = []
     for number, table in enumerate(tables, 1):
         if isinstance(table, Job):
-            found.append(table)
+            jobs.append(table)
             continue
         try:
-            found.append(checked_job(table, {}, f"job {number}"))
+            jobs.append(checked_job(table, {}, f"job {number}"))
         except SettingError as problem:
             raise SettingError(f"job {number}: {problem}") from None
-    return found
+    return jobs
 
 
 def job_of_stack(layers: Sequence[Any], output: str, options: Mapping[str, Any]) -> Job:

@@ -49,12 +49,12 @@ def job_key(job: Job) -> str:
 def _stat(path: str) -> list[int] | None:
     """What tells that a file is another or was changed; None for what is no plain file."""
     try:
-        found = os.stat(path)
+        status = os.stat(path)
     except OSError:
         return None
-    if not stat.S_ISREG(found.st_mode):
+    if not stat.S_ISREG(status.st_mode):
         return None
-    return [found.st_size, found.st_mtime_ns, found.st_ctime_ns, found.st_ino]
+    return [status.st_size, status.st_mtime_ns, status.st_ctime_ns, status.st_ino]
 
 
 #: The contents of files by path and stat: layers that many jobs share are read once.
@@ -86,10 +86,10 @@ def _is_racy(signature: Signature) -> bool:
 
 def signature(path: str) -> Signature:
     """What a file is now; of an input before it is read: should it change later, it differs."""
-    found: Signature = {"stat": _stat(path), "at": time.time_ns()}
-    if found["stat"]:
-        found["sha256"] = _sha256(path, found["stat"])
-    return found
+    now: Signature = {"stat": _stat(path), "at": time.time_ns()}
+    if now["stat"]:
+        now["sha256"] = _sha256(path, now["stat"])
+    return now
 
 
 def _still(path: str, before: Signature) -> Signature | None:
@@ -99,8 +99,8 @@ def _still(path: str, before: Signature) -> Signature | None:
         return None
     if now == before["stat"] and not _is_racy(before):
         return before
-    found = signature(path)
-    return found if found.get("sha256") == before.get("sha256") is not None else None
+    after = signature(path)
+    return after if after.get("sha256") == before.get("sha256") is not None else None
 
 
 def entry_of(job: Job, inputs: Mapping[str, Signature]) -> Entry:
@@ -113,20 +113,20 @@ def current(entry: Entry | None, job: Job) -> Entry | None:
     """What is known now of a job whose outputs stand there, made from the same; None of another."""
     if entry is None or entry.get("key") != job_key(job):
         return None
-    found: Entry = {"key": entry["key"]}
+    known: Entry = {"key": entry["key"]}
     try:
         for kind, paths in (("outputs", job.outputs), ("inputs", job.inputs)):
             if set(entry[kind]) != set(paths):
                 return None
-            found[kind] = {}
+            known[kind] = {}
             for path in dict.fromkeys(paths):
                 still = _still(path, entry[kind][path])
                 if still is None:
                     return None
-                found[kind][path] = still
+                known[kind][path] = still
     except (AttributeError, KeyError, TypeError, ValueError):  # a line of another making
         return None
-    return found
+    return known
 
 
 # --- all jobs -------------------------------------------------------------------------------------
@@ -203,15 +203,15 @@ class State:
         lines = list(file)
         for line in lines:
             try:
-                found = json.loads(line)
+                entry = json.loads(line)
             except (ValueError, RecursionError):
                 continue
-            if not isinstance(found, dict):
+            if not isinstance(entry, dict):
                 continue
-            if isinstance(found.get("output"), str) and "key" in found:
-                self._entries[found["output"]] = found
-            elif isinstance(found.get("run"), int) and isinstance(found.get("prefix"), str):
-                self._head = found
+            if isinstance(entry.get("output"), str) and "key" in entry:
+                self._entries[entry["output"]] = entry
+            elif isinstance(entry.get("run"), int) and isinstance(entry.get("prefix"), str):
+                self._head = entry
         if lines and not (self._entries or self._head["run"] or self.path.endswith(ENDING)):
             raise SettingError(
                 f"{self.path} is no state of a batch: name another file with --state"

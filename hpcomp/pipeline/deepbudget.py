@@ -75,7 +75,7 @@ class Need:
             window,
             block,
             (windows[tallest].y - window.y) % block,
-            max(window.width, *(found.width for found in windows)) * PIXEL_BYTES,
+            max(window.width, *(placed.width for placed in windows)) * PIXEL_BYTES,
             VOLUME_BYTES if any(reader.has_volumes for reader in readers) else POINT_BYTES,
             window.width * form.bytes_per_pixel,
             form.bytes_to_encode(window.width, 1) + sum(reader.bytes_held for reader in readers),
@@ -118,13 +118,13 @@ class Need:
         while threads > 1 and self.whole(threads, 1, int(row_samples[worst])) > self.granted:
             threads -= 1
         before = np.concatenate([[0], np.cumsum(row_samples)]).tolist()
-        found, at = [], 0
+        windows, at = [], 0
         while at < self.window.height:
             end = self._end(before, at, threads)
             window = self.window
-            found.append(Window(window.x, window.y + at, window.width, end - at))
+            windows.append(Window(window.x, window.y + at, window.width, end - at))
             at = end
-        return threads, found
+        return threads, windows
 
     def _end(self, before: Sequence[int], at: int, threads: int) -> int:
         """Where the strip that begins at row `at` of the window ends.

@@ -85,17 +85,19 @@ class PlacedImage:
         if common is None:
             return _no_samples(counts), 0
         begin = common.y - self.dy
-        found, left_out = self.reader.read(begin, begin + common.height)
-        there = found.counts.reshape(common.height, self.window.width)
+        samples, left_out = self.reader.read(begin, begin + common.height)
+        there = samples.counts.reshape(common.height, self.window.width)
         columns = slice(common.x - self.window.x, common.right - self.window.x)
         if common.width < self.window.width:
             inside = np.zeros(there.shape, bool)
             inside[:, columns] = True
-            kept = np.repeat(inside.ravel(), found.counts)
-            found = DeepSamples(found.counts, found.front[kept], found.back[kept], found.rgba[kept])
+            kept = np.repeat(inside.ravel(), samples.counts)
+            samples = DeepSamples(
+                samples.counts, samples.front[kept], samples.back[kept], samples.rgba[kept]
+            )
         at = common.moved(-rows.x, -rows.y)
         counts[at.y : at.bottom, at.x : at.right] = there[:, columns]
-        return DeepSamples(counts.ravel(), found.front, found.back, found.rgba), left_out
+        return DeepSamples(counts.ravel(), samples.front, samples.back, samples.rgba), left_out
 
 
 def _no_samples(counts: NDArray[np.int64]) -> DeepSamples:
@@ -264,15 +266,17 @@ def _placed(
     specs: Sequence[LayerSpec], readers: Sequence[DeepReader], canvas: str | Window
 ) -> tuple[list[PlacedImage], Window]:
     """The images where they lie, and the canvas."""
-    found = lay_out(
+    laid_out = lay_out(
         [
             LayerWindows(r.label, r.part.display_window, r.window, spec.placement)
             for spec, r in zip(specs, readers, strict=True)
         ],
         canvas,
     )
-    placed = [PlacedImage(reader, *by) for reader, by in zip(readers, found.offsets, strict=True)]
-    return placed, found.window
+    placed = [
+        PlacedImage(reader, *by) for reader, by in zip(readers, laid_out.offsets, strict=True)
+    ]
+    return placed, laid_out.window
 
 
 def _strips(
@@ -320,7 +324,7 @@ class _Work:
         begin = time.perf_counter()
         read = [image.read(rows) for image in self._images]
         has_read = time.perf_counter()
-        samples = deepsamples.merged([found for found, _ in read])
+        samples = deepsamples.merged([of_image for of_image, _ in read])
         lost = Losses()
         made = flat(samples, self._rules, self._form.kind, lost, self._form.gamut, go_on)
         done = time.perf_counter()
