@@ -8,6 +8,7 @@ Chuang, Weiskopf, Möller: Hue-Preserving Color Blending, IEEE TVCG 15(6), 2009.
     hue_histogram     pixels (…, 4) -> how many have which hue
     stack_measures    what compositing arrays does to their hues, in numbers
     stack             layer files -> one file, as `hpcomp stack`
+    StackOptions      all options of a stack, checked, for `stack` and its kin
     flatten           deep files -> one flat file, as `hpcomp flatten`
     read_layer        one layer of a file -> pixels and windows
     write_image       pixels -> a file
