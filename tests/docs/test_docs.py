@@ -944,7 +944,7 @@ def test_type_checkers_and_python_see_the_same_names():
 
 def test_the_docstring_of_the_package_names_what_matters():
     listed = re.findall(r"^    (\w+)  ", hpcomp.__doc__, re.MULTILINE)
-    assert sorted(listed) == sorted(FUNCTIONS)
+    assert sorted(listed) == sorted([*FUNCTIONS, "StackOptions"])
 
 
 # ---- types ---------------------------------------------------------------------------------------
