@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import os
+import re
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -847,3 +848,33 @@ def test_failure_in_mid_run_leaves_nothing(tmp_path, threads):
         hpcomp.stack([whole, bad, whole], out, threads=threads)
     assert out.read_bytes() == b"old"
     assert sorted(os.listdir(tmp_path)) == ["a.exr", "bad.exr", "out.exr"]
+
+
+def test_options_are_taken_whole_or_by_keyword(tmp_path, tall):
+    """All options in one value, of which a keyword replaces one."""
+    options = hpcomp.StackOptions.of({"order": "simultaneous", "gray_bias": 0.5, "depth": "float"})
+    by_keyword = {"order": "simultaneous", "gray_bias": 0.5, "depth": "half"}
+    hpcomp.stack(tall, tmp_path / "whole.exr", options, depth="half")
+    hpcomp.stack(tall, tmp_path / "each.exr", **by_keyword)
+    hpcomp.stack(tall, tmp_path / "plain.exr")
+    made = [(tmp_path / name).read_bytes() for name in ("whole.exr", "each.exr", "plain.exr")]
+    assert made[0] == made[1] != made[2]
+    pixel = hpcomp.explain(tall, (0, 0), options)
+    assert (pixel.rules.order.name, pixel.rules.gray_bias) == ("simultaneous", 0.5)
+
+
+@pytest.mark.parametrize(
+    ("options", "error", "says"),
+    [
+        ({"gray_bais": 1}, TypeError, "no option 'gray_bais' here: did you mean 'gray_bias'?"),
+        ({"gray_bias": 2}, SettingError, "gray bias 2 is outside 0 to 1"),
+        ({"threads": 0}, SettingError, "threads 0 is below 1"),
+        ({"max_memory": "much"}, SettingError, "'much' is not an amount of memory"),
+        ({"region": "here"}, SettingError, "'here' is not a window"),
+    ],
+)
+def test_options_are_checked_before_a_file_is_touched(tmp_path, options, error, says):
+    with pytest.raises(error, match=re.escape(says)):
+        hpcomp.stack([tmp_path / "missing.png"], tmp_path / "out.png", **options)
+    with pytest.raises(error, match=re.escape(says)):
+        hpcomp.StackOptions.of(options)
