@@ -10,7 +10,7 @@ from __future__ import annotations
 import inspect
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import Field, dataclass, field, fields, replace
 from functools import cache
 from typing import Any, TypeVar, get_type_hints
 
@@ -38,7 +38,13 @@ from .color.spaces import BUILDERS, DEFAULT_SPACE
 from .errors import SettingError, nearest, unknown_name
 from .geometry import Window, parse_canvas, parse_window
 from .imagefile.forms import COMPRESSIONS, DEPTHS, FORMATS, NONFINITE_POLICIES
-from .measures.defaults import DEFAULT_ACHROMATIC, DEFAULT_BINS
+from .measures.defaults import (
+    DEFAULT_ACHROMATIC,
+    DEFAULT_BINS,
+    check_achromatic,
+    check_bins,
+    check_foreign_tolerance,
+)
 from .system.memory import parse_bytes
 from .system.threads import check_threads
 
@@ -86,8 +92,27 @@ class _Group:
 
     def __post_init__(self) -> None:
         for item in fields(self):  # type: ignore[arg-type]  # every subclass is a dataclass
-            kept = item.metadata["option"].checked(getattr(self, item.name))
-            object.__setattr__(self, item.name, kept)
+            value = getattr(self, item.name)
+            if value is not item.default:
+                object.__setattr__(self, item.name, _checked(item, value))
+
+
+def _checked(item: Field[Any], value: Any) -> Any:
+    """The value to keep of an option. Errors: `SettingError`, also for a value of another type."""
+    option: Option = item.metadata["option"]
+    try:
+        if isinstance(item.default, bool) and not isinstance(value, bool):
+            raise TypeError
+        if value is None and item.default is not None:
+            raise TypeError
+        return option.checked(value)
+    except SettingError:
+        raise
+    except (TypeError, ValueError):
+        takes = str(option.takes or item.type).replace("hpcomp.geometry.", "")
+        raise SettingError(
+            f"{item.name.replace('_', ' ')} is {value!r}: it takes {takes}"
+        ) from None
 
 
 def _checked_background(color: str | Sequence[float]) -> str | Sequence[float]:
@@ -211,6 +236,7 @@ class CanvasOptions(_Group):
     canvas: str | Window = _option(
         "bottom",
         "bottom (the bottom layer's display window), union, intersection, or WxH+X+Y.",
+        takes=str | Window,
         metavar="CANVAS",
         check=parse_canvas,
     )
@@ -301,14 +327,19 @@ class ReportOptions(_Group):
         "Reports: a hue farther than this from every layer's is foreign; twice the hue tolerance "
         "if not given, more in oklab and cielab.",
         metavar="DEGREES",
+        check=check_foreign_tolerance,
     )
     achromatic: float | None = _option(
         None,
         f"Reports: colours of less saturation are grey; {DEFAULT_ACHROMATIC:g} if not given.",
         metavar="0…1",
+        check=check_achromatic,
     )
     bins: int | None = _option(
-        None, f"Reports: bins of the histograms; {DEFAULT_BINS} if not given.", metavar="N"
+        None,
+        f"Reports: bins of the histograms; {DEFAULT_BINS} if not given.",
+        metavar="N",
+        check=check_bins,
     )
     energy_weights: str | Sequence[float] | None = _option(
         None,
@@ -367,8 +398,8 @@ class StackOptions:
     ) -> StackOptions:
         """From options by name; the others are those of `base`, or have their defaults.
 
-        `names`: those that may be given, all if None. Errors: `SettingError` for a value,
-        `TypeError` for another name.
+        `names`: those that may be given, all if None. Errors: `SettingError` for a value, and for
+        another option that `base` has; `TypeError` for another name.
         """
         valid = OPTIONS if names is None else tuple(names)
         groups: dict[str, dict[str, Any]] = {}
@@ -377,6 +408,9 @@ class StackOptions:
                 raise TypeError(f"there is no option '{name}' here{nearest(name, valid)}")
             groups.setdefault(OPTIONS[name].group, {})[name] = value
         base = base or DEFAULTS
+        for name in OPTIONS:
+            if name not in valid and base[name] != OPTIONS[name].default:
+                raise SettingError(f"{name.replace('_', ' ')} is no option here: leave it out")
         return replace(base, **{g: replace(getattr(base, g), **some) for g, some in groups.items()})
 
     def __getitem__(self, name: str) -> Any:
@@ -463,7 +497,14 @@ def takes_options(*names: str) -> Callable[[F], F]:
             )
             for row in rows
         ]
-        function.__signature__ = inspect.Signature([*own, *shown])  # type: ignore[attr-defined]
+        result = function.__annotations__["return"]
+        function.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
+            [*own, *shown], return_annotation=result
+        )
+        function.__annotations__ = {
+            **{parameter.name: parameter.annotation for parameter in (*own, *shown)},
+            "return": result,
+        }
         return function
 
     return decorate

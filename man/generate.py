@@ -25,6 +25,7 @@ import click
 import hpcomp
 from hpcomp.blending.porter_duff import OPERATORS, Operator
 from hpcomp.cli import cli
+from hpcomp.cli.options import OptionOfOlderName
 from hpcomp.color.encodings import COLOR_INTEROP_IDS, COLOR_SPACES
 from hpcomp.errors import EXIT_CODE_MEANINGS
 from hpcomp.report import huedata, palettedata, stackdata
@@ -161,7 +162,8 @@ def _argument(argument: click.Argument) -> str:
 
 def _option(option: click.Option) -> Option:
     # Short names first, as in click's own help.
-    names = (*sorted(option.opts, key=lambda name: name.startswith("--")), *option.secondary_opts)
+    shown = option.opts[:1] if isinstance(option, OptionOfOlderName) else option.opts
+    names = (*sorted(shown, key=lambda name: name.startswith("--")), *option.secondary_opts)
     choices: tuple[str, ...] = ()
     value = option.metavar or ""
     if not (value or option.is_flag):

@@ -1,11 +1,12 @@
 #!/bin/sh
 # Makes .venv at the root of the checkout if it is missing, installs hpcomp with what its tests need
-# into it, and runs all tests.
+# into it, and runs the tests: those that take a few minutes together, or all.
 #
-#   sh tests/run.sh                      from any directory; two files of tests at a time
-#   sh tests/run.sh tests/command/test_cli.py passes arguments on to pytest
-#   VENV=/tmp/env sh tests/run.sh        uses another environment
-#   PYTHON=python3.12 sh tests/run.sh    names the interpreter that makes it
+#   sh tests/run.sh                             from any directory; two files of tests at a time
+#   sh tests/run.sh --all                       slow tests, whole products, more random examples too
+#   sh tests/run.sh tests/command/test_cli.py   passes arguments on to pytest
+#   VENV=/tmp/env sh tests/run.sh               uses another environment
+#   PYTHON=python3.12 sh tests/run.sh           names the interpreter that makes it
 
 set -eu
 

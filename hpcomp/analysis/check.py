@@ -276,7 +276,7 @@ def check(
     picture = _picture_spec(image)
     limits = {
         name: None if limit is None else parse_share(limit)
-        for name, limit in (("max-foreign", max_foreign), ("max-grey", max_gray))
+        for name, limit in (("max-foreign", max_foreign), ("max-gray", max_gray))
     }
     least = parse_share(visible)
     required = [_label(label, specs) for label in require_hue]
@@ -346,7 +346,7 @@ def _verdicts(
     required: Sequence[ExpectedHue],
     least: float,
 ) -> Iterator[Verdict]:
-    measured = {"max-foreign": result.foreign_share, "max-grey": result.grey_share}
+    measured = {"max-foreign": result.foreign_share, "max-gray": result.grey_share}
     for rule, limit in limits.items():
         if limit is not None:
             yield Verdict(rule, None, measured[rule], limit, measured[rule] <= limit)

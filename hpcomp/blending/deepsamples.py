@@ -292,8 +292,9 @@ def _weights(lengths: Ints, share: Floats, density: Floats, alpha: Floats) -> Fl
 
     A share t of a sample has u' = t·u and α' = 1 - exp(-u'), and its colour is scaled by α'/α. A
     run has U = Σ u' and A = 1 - exp(-U), and of its colours A/U · Σ c'·u'/α'. Together that is
-    A/U · t·u/α for each, with u/α = 1 where α = 0; its alphas add up to A. Of opaque ones the mean
-    is taken, without the others. OpenEXR: Interpreting Deep Pixels, Merging Overlapping Samples.
+    A/U · t·u/α for each, with u/α = 1 where α = 0; its alphas add up to A. Opaque samples
+    are averaged, and the others of the run left out. OpenEXR: Interpreting Deep Pixels, Merging
+    Overlapping Samples.
     """
     run = np.repeat(np.arange(len(lengths)), lengths)
     opaque = (density == np.inf) & (share > 0)

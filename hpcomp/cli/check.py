@@ -8,16 +8,17 @@ from typing import Any
 
 import click
 
-from ..errors import ExitCode
+from ..errors import ExitCode, SettingError
 from ..system.depfile import Depfile
 from ..system.streams import STDOUT
 from .messages import say
-from .options import LayerCommand, format_option, message_options, print_data
+from .options import LayerCommand, OptionOfOlderName, format_option, message_options, print_data
 from .signals import load
-from .stackoptions import depfile_options, other_options, stack_options
+from .stackoptions import NEAR_A_LAYER, depfile_options, other_options, stack_options
 
 #: The options of a stack that change what is measured, and what that may take.
 CHECKED = (
+    *("foreign_tolerance", "achromatic"),
     *("op", "space", "primaries", "hue_tolerance", "exposure", "region", "canvas", "background"),
     *("nonfinite", "strict", "threads", "max_memory"),
 )
@@ -43,6 +44,7 @@ SHORT_HELP = "Fail if a picture has lost the hues of its layers."
     "--max-gray",
     "--max-grey",
     "max_gray",
+    cls=OptionOfOlderName,
     metavar="SHARE",
     help="Fail if more of the layers' chroma was cancelled; against hues, if more of the visible "
     "pixels are grey.",
@@ -62,23 +64,8 @@ SHORT_HELP = "Fail if a picture has lost the hues of its layers."
     help="A label is visible if this much of where it could be has its hue: of the pixels to which "
     "its layer contributes, or of all chromatic pixels.",
 )
-@click.option(
-    "--foreign-tolerance",
-    type=float,
-    metavar="DEGREES",
-    help="A hue this near to a layer's is that layer's: twice the hue tolerance if not given, "
-    "more in oklab and cielab.",
-)
-@click.option(
-    "--achromatic",
-    type=float,
-    default=0.02,
-    show_default=True,
-    metavar="SATURATION",
-    help="Pixels of less saturation, 0 to 1, are grey.",
-)
-@stack_options(*CHECKED)
-@other_options(*CHECKED, "foreign_tolerance", "achromatic", "depfile", "depfile_target")
+@stack_options(*CHECKED, help=NEAR_A_LAYER)
+@other_options(*CHECKED, "depfile", "depfile_target")
 @format_option
 @depfile_options
 @message_options
@@ -100,6 +87,7 @@ def command(
     --require-hue is needed. If a rule does not hold, the exit code is 6, and stderr has a line for
     each such rule. A depfile names the --depfile-target, such as a stamp, as what is made.
     The other options of stack are accepted too, but for -o and --format. They change nothing here.
+    A list of options that stack and check share leaves out --depfile, as each writes its own.
 
     A hue is foreign if it is farther than the tolerance from the hue of every layer that
     contributes to that pixel. The rounding of the file is allowed for: half a code value of each
@@ -110,11 +98,16 @@ def command(
       hpcomp check map.png base.png 'roads.png::opacity=0.6' rivers.exr --require-hue layer:roads
       hpcomp check map.png --hues 0,120,231 --max-foreign 1% --format json
     """
-    checking, report = load("hpcomp.analysis.check"), load("hpcomp.report.check")
+    analysis, report = load("hpcomp.analysis.check"), load("hpcomp.report.check")
     deps = Depfile.asked(depfile, depfile_target, [STDOUT])
     read = [spec.path for spec in load("hpcomp.layers.placing").layer_specs([image, *layers])]
+    if deps is not None and (own := set(deps.targets) & set(read)):
+        raise SettingError(
+            f"{min(own)} is read by the check, and cannot be what it makes: give --depfile-target "
+            "the name of a stamp"
+        )
     with contextlib.nullcontext() if deps is None else deps.written(read):
-        result = checking.check(image, layers, **options)
+        result = analysis.check(image, layers, **options)
     if format == "json":
         print_data(json.dumps(report.as_data(result), indent=2))
     else:

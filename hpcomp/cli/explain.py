@@ -9,17 +9,16 @@ import click
 
 from .options import LayerCommand, format_option, message_options, print_data
 from .signals import load
-from .stackoptions import other_options, stack_options
+from .stackoptions import NEAR_A_LAYER, other_options, stack_options
 
 #: The options of a stack that change what is said, and what that may take.
 EXPLAINED = (
     *("op", "blending", "order", "space", "primaries", "hue_tolerance", "gray_bias"),
-    *("foreign_tolerance", "exposure", "region", "canvas", "overscan", "background"),
+    *("foreign_tolerance", "achromatic", "exposure", "region", "canvas", "overscan", "background"),
     *("nonfinite", "strict", "threads", "max_memory"),
 )
 HELP = {
-    "foreign_tolerance": "A hue this near to a layer's is that layer's: twice the hue tolerance if "
-    "not given, more in oklab and cielab.",
+    **NEAR_A_LAYER,
     "region": "The part of the canvas that is made: the pixel lies in it.",
 }
 
@@ -60,8 +59,8 @@ def command(layers: tuple[str, ...], at: str, format: str, **options: Any) -> No
       hpcomp explain base.png 'roads.png::opacity=0.6' 'mask.png::tint=#377eb8' --at 30,20
       hpcomp explain base.png 'roads.png::opacity=0.6' --at 30,20 --order top-down --format json
     """
-    explanation, report = load("hpcomp.analysis.explain"), load("hpcomp.report.explanation")
-    pixel = explanation.explain(layers, at, **options)
+    analysis, report = load("hpcomp.analysis.explain"), load("hpcomp.report.explanation")
+    pixel = analysis.explain(layers, at, **options)
     if format == "json":
         print_data(json.dumps(report.as_data(pixel), indent=2))
     else:

@@ -9,8 +9,8 @@ import click
 
 from ..errors import HpcompError, InputError, MismatchError
 from ..layers.layerspec import LayerSpec
-from ..measures.defaults import DEFAULT_ACHROMATIC, DEFAULT_BINS
-from ..measures.histogram import FEWEST_BINS, MOST_BINS, WEIGHTS
+from ..measures.defaults import DEFAULT_ACHROMATIC, DEFAULT_BINS, FEWEST_BINS, MOST_BINS
+from ..measures.histogram import WEIGHTS
 from ..report.hueformats import REPORT_FORMATS, report_format
 from ..report.look import AXES, SCALES, Entry, Look
 from ..system.outputs import write_bytes

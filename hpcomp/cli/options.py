@@ -98,6 +98,18 @@ def print_bytes(data: bytes) -> None:
         stdout.write(data)
 
 
+class OptionOfOlderName(click.Option):
+    """An option whose first name help shows; the second is an older spelling that is accepted."""
+
+    def get_help_record(self, ctx: click.Context) -> tuple[str, str] | None:
+        names = self.opts
+        self.opts = names[:1]
+        try:
+            return super().get_help_record(ctx)
+        finally:
+            self.opts = names
+
+
 format_option = click.option(
     "--format",
     type=click.Choice(["text", "json"]),

@@ -21,7 +21,7 @@ from ..system.outputs import write_bytes
 from ..system.streams import STDOUT
 from . import signals, terminal
 from .messages import say
-from .options import F, LayerCommand, message_options, print_bytes
+from .options import F, LayerCommand, OptionOfOlderName, message_options, print_bytes
 from .reportoptions import WRITING, opened_report, report_options
 from .stackoptions import make_options, stack_options
 
@@ -68,7 +68,13 @@ Findings change the exit code only with --strict.
 def _limit(*names: str, default: float, metavar: str, help: str) -> Callable[[F], F]:
     """An option that says how something is judged."""
     return click.option(
-        *names, type=float, default=default, show_default=True, metavar=metavar, help=help
+        *names,
+        cls=OptionOfOlderName,
+        type=float,
+        default=default,
+        show_default=True,
+        metavar=metavar,
+        help=help,
     )
 
 

@@ -6,7 +6,7 @@ import signal
 from importlib import import_module
 from types import FrameType, ModuleType
 
-from ..system import signals as heldsignals
+from ..system.signals import ENDING as ENDING_SIGNALS
 from ..system.signals import held
 
 
@@ -17,7 +17,7 @@ class Terminated(BaseException):
 #: The signals that end a run, each with what it raises.
 ENDING: dict[int, type[BaseException]] = {
     number: KeyboardInterrupt if number == signal.SIGINT else Terminated
-    for number in heldsignals.ENDING
+    for number in ENDING_SIGNALS
 }
 
 

@@ -10,6 +10,7 @@ from typing import Any
 
 import click
 
+from ..measures.defaults import DEFAULT_ACHROMATIC
 from ..options import OPTIONS, NamedOption
 from .options import F
 
@@ -55,6 +56,14 @@ def stack_options(
         return function
 
     return decorate
+
+
+#: What the options of reports mean where one pixel or one picture is judged.
+NEAR_A_LAYER = {
+    "foreign_tolerance": "A hue this near to a layer's is that layer's: twice the hue tolerance if "
+    "not given, more in oklab and cielab.",
+    "achromatic": f"Pixels of less saturation are grey; {DEFAULT_ACHROMATIC:g} if not given.",
+}
 
 
 def other_options(*names: str) -> Callable[[F], F]:

@@ -29,7 +29,7 @@ from ..errors import (
     one_line,
 )
 from ..pipeline.stack import stack
-from ..system import outputs as outputfile
+from ..system import outputs
 from ..version import __version__
 from .schema import Job, jobs_of
 from .state import Entry, current, entry_of, signature
@@ -140,7 +140,7 @@ def _receive(tasks: BinaryIO, waiting: queue.Queue[bytes | None], busy: threadin
 
 def main(temporary_prefix: str, patience_s: float | None) -> None:
     """Does the jobs that come through stdin, until it ends, or none has come for so long."""
-    outputfile.temporary_prefix = temporary_prefix
+    outputs.temporary_prefix = temporary_prefix
     signal.signal(signal.SIGTERM, _end)
     tasks, results = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
     # What libraries print is for nobody, and must not get between the results.

@@ -18,13 +18,10 @@ from ..color import spaces
 from ..color.hueaxis import HueAxis
 from ..color.planes import is_saturated, length, spread_and_size
 from ..errors import MismatchError, SettingError, unknown_name
-from .defaults import DEFAULT_ACHROMATIC, DEFAULT_BINS
+from .defaults import DEFAULT_ACHROMATIC, DEFAULT_BINS, check_bins
 
 Counts = NDArray[np.int64]
 Floats = NDArray[np.floating[Any]]
-
-#: One bin for a sextant at least; beyond a tenth of a degree, bins hold rounding.
-FEWEST_BINS, MOST_BINS = 6, 3600
 
 #: What sums count in, and each pixel's value is rounded to: a float's own step below 1, and a
 #: twentieth of the light between the two darkest codes of 16 bits.
@@ -106,8 +103,7 @@ class HueHistogram:
     ) -> HueHistogram:
         """The histogram of no pixels. Errors: `SettingError`."""
         name = spaces.space(space).name
-        if not FEWEST_BINS <= bins <= MOST_BINS:
-            raise SettingError(f"bins {bins} is outside {FEWEST_BINS} to {MOST_BINS}")
+        check_bins(bins)
         if not 0 <= achromatic <= 1:
             raise SettingError(f"achromatic {achromatic:g} is outside 0 to 1")
         none = np.zeros(bins, np.int64)

@@ -24,7 +24,7 @@ from ..blending.terms import weighted
 from ..color.gamut import bounds_of, colors_within
 from ..color.planes import cross_and_dot, is_saturated, length, ratio, spread_and_size
 from ..errors import SettingError
-from .defaults import DEFAULT_ACHROMATIC
+from .defaults import DEFAULT_ACHROMATIC, check_achromatic, check_foreign_tolerance
 from .histogram import LARGEST_ADDEND, SUM_UNIT
 
 Array = NDArray[np.float32]
@@ -83,14 +83,11 @@ def measure_settings(
     if foreign_tolerance is None:
         turn = max(2 * rules.hue_tolerance, math.degrees(ROUNDING_ANGLE))
         foreign_tolerance = turn + rules.space.gamut_turn
-    for what, value, most in (
-        ("half step", half_step, 1),
-        ("achromatic saturation", achromatic, 1),
-        ("foreign tolerance", foreign_tolerance, 180),
-    ):
-        if not 0 <= value <= most:
-            raise SettingError(f"{what} {value:g} is outside 0 to {most}")
-    return MeasureSettings(float(half_step), float(achromatic), float(foreign_tolerance))
+    if not 0 <= half_step <= 1:
+        raise SettingError(f"half step {half_step:g} is outside 0 to 1")
+    return MeasureSettings(
+        float(half_step), check_achromatic(achromatic), check_foreign_tolerance(foreign_tolerance)
+    )
 
 
 def check_energy_weights(weights: Sequence[float]) -> tuple[float, float, float]:

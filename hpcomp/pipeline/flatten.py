@@ -199,14 +199,7 @@ def _planned(request: PictureRequest, opened: contextlib.ExitStack) -> Flattenin
 def _made(plan: FlatteningPlan) -> StackResult:
     """Makes the picture."""
     request, rules, window = plan.request, plan.rules, plan.window
-    log.info(
-        "canvas %s, %s, order %s, space %s, primaries %s",
-        plan.canvas,
-        rules.blending.name,
-        rules.order.name,
-        rules.space.name,
-        rules.primaries.name,
-    )
+    log.info("%s", plan.in_words)
     log.info(
         "writing %s in %d strips, %d threads, engine %s",
         window,

@@ -32,7 +32,7 @@ class Observer(Protocol):
         """The files that it writes."""
 
     def place(self, opened: contextlib.ExitStack) -> None:
-        """Gives each of its files a place; they appear when `opened` closes in peace."""
+        """Gives each of its files a place; they appear when `opened` closes without an error."""
 
     def memory(self, layers: int, window: Window) -> tuple[int, int]:
         """Bytes that it takes for each pixel of a strip, and whatever the strips."""

@@ -78,7 +78,7 @@ class PictureRequest:
         check_places([self.output, *beside, *depfiles])
 
     def placed(self, opened: contextlib.ExitStack) -> str:
-        """Where the picture is written first; it appears when `opened` closes in peace."""
+        """Where the picture is written first; it appears when `opened` closes without an error."""
         asked = self.options.output
         return opened.enter_context(
             whole_output(self.output, clobber=asked.clobber, if_changed=asked.write_if_changed)
@@ -109,9 +109,18 @@ class PicturePlan:
     bottom: Part
     notices: Notices
 
+    @property
+    def in_words(self) -> str:
+        """The canvas and the rules, as a log shows them."""
+        rules = self.rules
+        return (
+            f"canvas {self.canvas}, {rules.blending.name}, order {rules.order.name}, "
+            f"space {rules.space.name}, primaries {rules.primaries.name}"
+        )
+
     @contextlib.contextmanager
     def writer(self) -> Iterator[ImageWriter]:
-        """Writes the picture, which is complete when the block ends in peace."""
+        """Writes the picture, which is complete when the block ends without an error."""
         header = PictureHeader(
             self.window,
             self.canvas,

@@ -124,15 +124,7 @@ def _planned(
 def _made(plan: StackPlan, observer: Observer) -> StackResult:
     """Makes the picture, and what is written beside it."""
     request, rules = plan.request, plan.rules
-    log.info(
-        "%d layers on canvas %s, %s, order %s, space %s, primaries %s",
-        len(plan.layers),
-        plan.canvas,
-        rules.blending.name,
-        rules.order.name,
-        rules.space.name,
-        rules.primaries.name,
-    )
+    log.info("%d layers on %s", len(plan.layers), plan.in_words)
     log.info(
         "writing %s in strips of %d rows, %d threads, engine %s",
         plan.window,

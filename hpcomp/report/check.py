@@ -14,7 +14,7 @@ SCHEMA_VERSION = 1
 _MEASURED = {
     "max-foreign": ("of the chromatic pixels have a hue that no layer gave them",
                     "of the chromatic pixels have none of the hues"),
-    "max-grey": ("of the layers' chroma is lost to grey",
+    "max-gray": ("of the layers' chroma is lost to grey",
                  "of the visible pixels are grey"),
 }  # fmt: skip
 

@@ -27,7 +27,6 @@ from ..imagefile.exrscanlines import ExrForm, ExrScanlineWriter
 from ..imagefile.header import PictureHeader
 from ..imagefile.writing import OutputForm
 from ..measures.defaults import DEFAULT_BINS
-from ..measures.histogram import HueHistogram
 from ..measures.labels import (
     ENERGY_WEIGHTS,
     Provenance,
@@ -106,7 +105,6 @@ class Recorder:
             foreign_tolerance=asked.foreign_tolerance,
         )
         self._bins = DEFAULT_BINS if asked.bins is None else asked.bins
-        HueHistogram.empty(self._bins)  # checks them
         self._energy_weights = _weights(asked.energy_weights)
         self._with_preview = any(needs_preview(name) for _, name in self._reports)
         self.outputs = [path for path, _ in self._reports]
@@ -116,7 +114,7 @@ class Recorder:
         self.summary: StackSummary | None = None
 
     def place(self, opened: contextlib.ExitStack) -> None:
-        """Gives each file a place; they appear when `opened` closes in peace."""
+        """Gives each file a place; they appear when `opened` closes without an error."""
         asked = self._options.output
         for path in self.outputs:
             self._places[path] = opened.enter_context(

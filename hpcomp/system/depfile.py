@@ -49,7 +49,7 @@ class Depfile:
 
     @contextlib.contextmanager
     def written(self, inputs: Iterable[str], if_changed: bool = False) -> Iterator[None]:
-        """The file appears when the block ends in peace: before the outputs that were opened first.
+        """The file appears when the block ends without an error, before outputs opened earlier.
 
         `inputs`: what was read; streams are left out.
         Errors: `SettingError`, also where it would replace an input; `OutputError`.

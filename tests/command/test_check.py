@@ -89,15 +89,15 @@ def test_traditional_blending_fails(layers, form):
 
 def test_what_is_lost_to_grey_is_what_the_measures_say(layers):
     hpcomp.stack(layers, "float.exr", depth="float")
-    found = hpcomp.check("float.exr", layers, max_grey=1)
+    found = hpcomp.check("float.exr", layers, max_gray=1)
     measured = hpcomp.stack_measures([hpcomp.read_layer(name).pixels for name in layers])
     assert found.grey_share == pytest.approx(measured.result.lost, abs=1e-6)
     assert found.sums.chromatic == measured.result.chromatic
     for seen, layer in zip(found.sums.labels, measured.result.layers, strict=True):
         assert seen.pixels == layer.pixels
         assert seen.shown == layer.survived
-    assert not hpcomp.check("float.exr", layers, max_grey=measured.result.lost - 1e-3).passed
-    assert hpcomp.check("float.exr", layers, max_grey=measured.result.lost + 1e-3).passed
+    assert not hpcomp.check("float.exr", layers, max_gray=measured.result.lost - 1e-3).passed
+    assert hpcomp.check("float.exr", layers, max_gray=measured.result.lost + 1e-3).passed
 
 
 @given(st.integers(0, 2**31), st.sampled_from(FORMS), st.sampled_from((2.0, 0.0)), st.booleans())
@@ -124,10 +124,10 @@ def test_any_correct_picture_passes(tmp_path_factory, seed, form, hue_tolerance,
 
 def test_exposure_is_part_of_the_picture(layers):
     hpcomp.stack(layers, "dark.exr", depth="float", exposure=-3)
-    same = hpcomp.check("dark.exr", layers, max_grey=1, exposure=-3)
+    same = hpcomp.check("dark.exr", layers, max_gray=1, exposure=-3)
     hpcomp.stack(layers, "float.exr", depth="float")
-    assert same.grey_share == pytest.approx(hpcomp.check("float.exr", layers, max_grey=1).grey_share, abs=1e-4)
-    assert hpcomp.check("dark.exr", layers, max_grey=1).grey_share > same.grey_share
+    assert same.grey_share == pytest.approx(hpcomp.check("float.exr", layers, max_gray=1).grey_share, abs=1e-4)
+    assert hpcomp.check("dark.exr", layers, max_gray=1).grey_share > same.grey_share
 
 
 def test_strips_and_threads_do_not_show(layers, monkeypatch, caplog):
@@ -284,7 +284,7 @@ def test_an_alpha_that_was_rounded_up_lights_no_foreign_hue(tmp_path, monkeypatc
 
 
 def test_a_picture_of_more_chroma_than_its_layers_has_lost_none(layers):
-    found = hpcomp.check("red.exr", ["red.exr::opacity=0.5"], max_grey=0)
+    found = hpcomp.check("red.exr", ["red.exr::opacity=0.5"], max_gray=0)
     assert found.passed
     assert found.sums.chroma_out == found.sums.chroma_in > 0
 
@@ -386,11 +386,11 @@ def test_hues_are_those_of_pure_linear_colours(tmp_path, monkeypatch):
 def test_grey_against_hues_is_a_share_of_what_is_visible(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     write_codes("mixed.png", [[[200, 0, 0, 255], [90, 90, 90, 255], [92, 92, 92, 255], [0, 0, 0, 0]]])
-    found = hpcomp.check("mixed.png", hues="0", max_grey="60%")
+    found = hpcomp.check("mixed.png", hues="0", max_gray="60%")
     assert (found.sums.visible, found.sums.chromatic) == (3, 1)
     assert not found.passed
     assert found.grey_share == 2 / 3
-    assert hpcomp.check("mixed.png", hues="0", max_grey="67%").passed
+    assert hpcomp.check("mixed.png", hues="0", max_gray="67%").passed
 
 
 # ---- pixels without a measure --------------------------------------------------------------------
@@ -498,7 +498,7 @@ def test_a_picture_passes_against_its_own_layers(desk, layers):
 def test_a_failed_check_is_exit_6_and_a_line_for_each_rule(desk, layers):
     run = desk.run("check", "plain.png", *layers, "--max-foreign", "0.01", "--require-hue", "300",
                    "--visible", "90%",
-                   "--max-grey", "99%", "-q")  # fmt: skip
+                   "--max-gray", "99%", "-q")  # fmt: skip
     assert run.code == 6
     assert len(run.lines) == 2
     assert run.lines[0].startswith("hpcomp: check failed: plain.png: --max-foreign: 6")
