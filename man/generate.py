@@ -25,7 +25,7 @@ import click
 import hpcomp
 from hpcomp.blending.porter_duff import OPERATORS, Operator
 from hpcomp.cli import cli
-from hpcomp.cli.options import OptionOfOlderName
+from hpcomp.cli.options import shown_names
 from hpcomp.color.encodings import COLOR_INTEROP_IDS, COLOR_SPACES
 from hpcomp.errors import EXIT_CODE_MEANINGS
 from hpcomp.report import huedata, palettedata, stackdata
@@ -162,8 +162,8 @@ def _argument(argument: click.Argument) -> str:
 
 def _option(option: click.Option) -> Option:
     # Short names first, as in click's own help.
-    shown = option.opts[:1] if isinstance(option, OptionOfOlderName) else option.opts
-    names = (*sorted(shown, key=lambda name: name.startswith("--")), *option.secondary_opts)
+    shown = sorted(shown_names(option), key=lambda name: name.startswith("--"))
+    names = (*shown, *option.secondary_opts)
     choices: tuple[str, ...] = ()
     value = option.metavar or ""
     if not (value or option.is_flag):

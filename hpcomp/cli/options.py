@@ -103,11 +103,16 @@ class OptionOfOlderName(click.Option):
 
     def get_help_record(self, ctx: click.Context) -> tuple[str, str] | None:
         names = self.opts
-        self.opts = names[:1]
+        self.opts = shown_names(self)
         try:
             return super().get_help_record(ctx)
         finally:
             self.opts = names
+
+
+def shown_names(option: click.Option) -> list[str]:
+    """The names of an option that help and the manual show."""
+    return option.opts[:1] if isinstance(option, OptionOfOlderName) else option.opts
 
 
 format_option = click.option(

@@ -548,3 +548,21 @@ def test_bad_input_has_its_line_and_its_code(desk, arguments, code, says):
 def test_a_report_names_files_without_what_could_control_a_terminal(layers):
     found = hpcomp.check("red.exr", layers[:1], max_foreign=0)
     assert "a\\x1bb.png against" in report.as_text(dataclasses.replace(found, image="a\x1bb.png"))
+
+
+def test_the_older_spelling_of_gray_is_accepted(desk, monkeypatch):
+    monkeypatch.chdir(desk.folder)
+    write_codes("mixed.png", [[[200, 0, 0, 255], [90, 90, 90, 255]]])
+    by_name = [hpcomp.check("mixed.png", hues="0", **{name: "67%"}) for name in ("max_gray", "max_grey")]
+    assert by_name[0] == by_name[1]
+    runs = [desk.run("check", "mixed.png", "--hues", "0", name, "1%") for name in ("--max-gray", "--max-grey")]
+    assert runs[0] == runs[1]
+    assert runs[0].code == 6
+    assert "--max-gray: 50.000% of the visible pixels are grey" in runs[0].lines[0]
+
+
+def test_a_depfile_is_not_about_what_the_check_reads(desk):
+    desk.refuses(
+        2, "check", "mixed.png", "--hues", "0", "--max-gray", "99%", "--depfile", "m.d",
+        "--depfile-target", "mixed.png", says=["mixed.png is read by the check", "stamp"],
+    )  # fmt: skip

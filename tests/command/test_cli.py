@@ -25,6 +25,7 @@ from processes import SIGNALS, assert_ended, running, temporary_of
 
 import hpcomp as package
 from hpcomp import cli
+from hpcomp.cli.options import shown_names
 
 SIZE = 10, 8
 SHELLS = [name for name in ("bash", "zsh", "fish") if shutil.which(name)]
@@ -1118,7 +1119,8 @@ def test_help_of_a_command(name):
             continue  # of other commands, or in another spelling
         if isinstance(parameter, click.Option):
             assert parameter.help, f"{parameter.name} has no help"
-        assert all(option in text for option in parameter.opts if option.startswith("-"))
+            assert all(name in text for name in shown_names(parameter))
+            assert not any(name in text for name in set(parameter.opts) - set(shown_names(parameter)))
 
 
 def test_help_of_stack_lists_what_can_be_said():

@@ -24,6 +24,7 @@ from hpcomp.blending.addition import BLENDINGS
 from hpcomp.blending.orders import ORDERS
 from hpcomp.blending.porter_duff import OPERATOR_NAMES, OPERATORS
 from hpcomp.cli import COMMANDS, cli
+from hpcomp.cli.options import shown_names
 from hpcomp.color.encodings import ALPHA_MODES, COLOR_INTEROP_IDS, COLOR_SPACES
 from hpcomp.color.spaces import SPACES
 from hpcomp.errors import EXIT_CODE_MEANINGS, ExitCode
@@ -250,12 +251,12 @@ def test_the_main_page_lists_the_command_and_the_summaries_agree(name):
 @pytest.mark.parametrize(("name", "option"), OPTIONS, ids=lambda v: v if type(v) is str else v.name)
 def test_every_option_is_in_the_reference_and_in_its_man_page(name, option):
     section, page = reference_section(name), man_text(man_sections(name)["OPTIONS"])
-    for spelling in (*option.opts, *option.secondary_opts):
+    for spelling in (*shown_names(option), *option.secondary_opts):
         assert re.search(rf"- `[^`]*(?<![\w-]){spelling}\b(?!-)", section)
         assert re.search(rf"(?<![\w-]){spelling}\b(?!-)", page)
         assert f"\\fB{spelling.replace('-', chr(92) + '-')}\\fR" in man_source(name)
     value = option.metavar or ("" if option.is_flag else "|".join(option.type.choices))
-    term = f"{sorted(option.opts, key=len)[-1]} {value}".strip()
+    term = f"{sorted(shown_names(option), key=len)[-1]} {value}".strip()
     for text in (section, page):
         assert term in text
         assert words(option.help) in text
