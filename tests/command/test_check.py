@@ -18,7 +18,7 @@ from PIL import Image
 from strategies import color_of
 
 import hpcomp
-from hpcomp.analysis import check as checking
+from hpcomp.analysis import check as analysis
 from hpcomp.color.encodings import SRGB_ENCODING
 from hpcomp.color.samples import PLAIN, Decoding
 from hpcomp.color.spaces import SPACES
@@ -137,10 +137,10 @@ def test_strips_and_threads_do_not_show(layers, monkeypatch, caplog):
     hpcomp.stack(layers, "out.png", blending="traditional", canvas=asked["canvas"])
     whole = hpcomp.check("out.png", layers, **asked)
     assert "checking 70x48-3-5 in strips of 64 rows" in caplog.text
-    monkeypatch.setattr(checking, "STRIP_ROWS", 1)
+    monkeypatch.setattr(analysis, "STRIP_ROWS", 1)
     for rows, block, threads in itertools.product((16, 32), (30, 300), (1, 2)):
-        monkeypatch.setattr(checking, "STRIP_PIXELS", rows * 70)
-        monkeypatch.setattr(checking, "BLOCK_PIXELS", block)
+        monkeypatch.setattr(analysis, "STRIP_PIXELS", rows * 70)
+        monkeypatch.setattr(analysis, "BLOCK_PIXELS", block)
         caplog.clear()
         assert hpcomp.check("out.png", layers, threads=threads, **asked) == whole
         assert f"in strips of {rows} rows, {threads} threads" in caplog.text
@@ -218,7 +218,7 @@ def test_quantisation_is_the_farthest_corner_of_half_a_code(kind):
     random = np.random.default_rng(8)
     largest = np.iinfo(kind).max
     samples = random.integers(0, largest + 1, (200, 4)).astype(kind)
-    reach = checking.quantization(samples, STRAIGHT, SPACE)
+    reach = analysis.quantization(samples, STRAIGHT, SPACE)
     alpha = samples[:, 3] / largest
     center = p_of_codes(samples[:, :3], largest, alpha)
     expected = np.zeros(200)
@@ -231,7 +231,7 @@ def test_quantisation_is_the_farthest_corner_of_half_a_code(kind):
 
 def test_quantisation_of_floats():
     half = np.array([[1.0, 0.5, 0.25, 1.0], [0.0, 0.0, 0.0, 1.0]], np.float16)
-    reach = checking.quantization(half, PLAIN, SPACE)
+    reach = analysis.quantization(half, PLAIN, SPACE)
     color = np.array([[1.0], [0.5], [0.25]])
     steps = np.array([[2.0**-10], [2.0**-11], [2.0**-12]]) / 2
     expected = max(
@@ -240,13 +240,13 @@ def test_quantisation_of_floats():
     )[0]
     assert reach[0] == pytest.approx(expected, rel=0.01)
     assert reach[1] < 1e-7
-    single = checking.quantization(half.astype(np.float32), PLAIN, SPACE)
+    single = analysis.quantization(half.astype(np.float32), PLAIN, SPACE)
     assert 0 < single[0] < 1e-6
 
 
 def test_quantisation_of_grey_turns_no_hue():
     for samples in (np.array([[3], [200]], np.uint8), np.array([[3, 9], [200, 255]], np.uint8)):
-        assert np.all(checking.quantization(samples, STRAIGHT, SPACE) < 1e-6)
+        assert np.all(analysis.quantization(samples, STRAIGHT, SPACE) < 1e-6)
 
 
 def write_codes(name, codes):
@@ -304,10 +304,10 @@ def test_labels_are_seen_where_their_hue_is(tmp_path, monkeypatch):
     found = hpcomp.check("out.png", stack, require_hue=["layer:red", "layer:1", "120", "240"])
     by_text = dict(zip((label.text for label in found.labels), found.sums.labels, strict=True))
     # Under an opaque layer nothing of red contributes.
-    assert by_text["layer 0 (red.exr)"] == checking.LabelSums(28, 28)
-    assert by_text["layer 1 (green.exr)"] == checking.LabelSums(12, 12)
-    assert by_text["hue 120"] == checking.LabelSums(40, 12)
-    assert by_text["hue 240"] == checking.LabelSums(40, 0)
+    assert by_text["layer 0 (red.exr)"] == analysis.LabelSums(28, 28)
+    assert by_text["layer 1 (green.exr)"] == analysis.LabelSums(12, 12)
+    assert by_text["hue 120"] == analysis.LabelSums(40, 12)
+    assert by_text["hue 240"] == analysis.LabelSums(40, 0)
     assert [verdict.passed for verdict in found.verdicts] == [True, True, True, False]
     assert hpcomp.check("out.png", stack, require_hue=[120], visible="30%").passed
     assert not hpcomp.check("out.png", stack, require_hue=[120], visible="31%").passed
@@ -349,7 +349,7 @@ def test_a_hue_that_is_rounding_shows_no_label(tmp_path, monkeypatch):
     write_codes("pale.png", [[[200, 198, 198, 255]]])
     pale = hpcomp.check("pale.png", hues="30", require_hue=["30"], achromatic=0)
     assert (pale.sums.chromatic, pale.sums.foreign) == (1, 0)
-    assert pale.sums.labels == (checking.LabelSums(1, 0),)
+    assert pale.sums.labels == (analysis.LabelSums(1, 0),)
 
 
 # ---- hues ----------------------------------------------------------------------------------------
@@ -439,13 +439,13 @@ def test_a_broken_pixel_is_named_in_the_coordinates_of_its_file(tmp_path, monkey
     [("0.01", 0.01), ("1%", 0.01), (" 2.5 % ", 0.025), ("0", 0), ("100%", 1), (0.5, 0.5), ("1e-3", 0.001)],
 )
 def test_shares(text, value):
-    assert checking.parse_share(text) == pytest.approx(value)
+    assert analysis.parse_share(text) == pytest.approx(value)
 
 
 @pytest.mark.parametrize("text", ["", "%", "one", "-1%", "1.01", "101%", "nan", "inf", "1%%"])
 def test_what_is_no_share(text):
     with pytest.raises(SettingError, match="is not a share"):
-        checking.parse_share(text)
+        analysis.parse_share(text)
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ import pytest
 
 import hpcomp
 from hpcomp import InputError, MismatchError, SettingError, hue_histogram, read_hues
-from hpcomp.analysis import hues as imagehues
+from hpcomp.analysis import hues
 
 
 def noise(height, width, seed=5):
@@ -61,7 +61,7 @@ def test_blocks_do_not_show(tmp_path, monkeypatch):
     path = exr(tmp_path / "a.exr", noise(70, 31))
     whole = read_hues(path)
     for pixels in (7, 31, 100):
-        monkeypatch.setattr(imagehues, "BLOCK_PIXELS", pixels)
+        monkeypatch.setattr(hues, "BLOCK_PIXELS", pixels)
         assert read_hues(path) == whole
 
 

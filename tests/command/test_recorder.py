@@ -32,7 +32,7 @@ from hpcomp.geometry import Window
 from hpcomp.measures import labels as measures
 from hpcomp.options import stack_rules
 from hpcomp.report import measures as report_of_measures
-from hpcomp.report import recorder as evidence
+from hpcomp.report import recorder
 from hpcomp.report.hueformats import REPORT_FORMATS
 from hpcomp.report.stackreport import PREVIEW_SIDE
 
@@ -579,9 +579,9 @@ def test_failing_report_leaves_nothing(here, monkeypatch, name):
         raise OutputError("it fails")
 
     if name == "pictures":
-        monkeypatch.setattr(evidence._PreviewSums, "result", fail)
+        monkeypatch.setattr(recorder._PreviewSums, "result", fail)
     else:
-        monkeypatch.setattr(evidence, "render_stack_report", fail)
+        monkeypatch.setattr(recorder, "render_stack_report", fail)
     with pytest.raises(OutputError, match="it fails"):
         hpcomp.stack(LAYERS[:2], "out.png", report=["r.html", "new.json"], provenance="p.exr")
     assert snapshot(here) == before
