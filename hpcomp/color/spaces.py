@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cache, partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -241,5 +241,14 @@ def _built(name: str, rgb_to_xyz: Matrix) -> Space:
     return BUILDERS[name](rgb_to_xyz)
 
 
-#: The blending spaces by name, for the primaries of Rec. 709.
-SPACES: dict[str, Space] = {name: space(name) for name in BUILDERS}
+if TYPE_CHECKING:
+    #: The blending spaces by name, for the primaries of Rec. 709.
+    SPACES: dict[str, Space]
+
+
+def __getattr__(name: str) -> Any:
+    # `SPACES` is made when it is asked for: a stack needs one space, and each takes its time.
+    if name != "SPACES":
+        raise AttributeError(f"module {__name__} has no attribute {name}")
+    globals()[name] = {name: space(name) for name in BUILDERS}
+    return globals()[name]

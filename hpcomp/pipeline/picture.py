@@ -17,12 +17,12 @@ from ..imagefile.writing import ImageWriter, OutputForm, format_of_output, open_
 from ..layers.layerspec import LayerSpec
 from ..layers.notices import Notices
 from ..options import StackOptions
-from ..system.depfile import Depfile
 from ..system.outputs import check_places, whole_output
 from ..system.streams import STDOUT
 
-if TYPE_CHECKING:  # only reports need them
+if TYPE_CHECKING:  # only few pictures need them
     from ..measures.summary import StackSummary
+    from ..system.depfile import Depfile
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,11 @@ class PictureRequest:
         )
         if options.canvas.overscan and form.format == "png":
             raise SettingError("a PNG ends at its canvas: --overscan needs an EXR output")
-        depfile = Depfile.asked(asked.depfile, asked.depfile_target, [output])
+        depfile = None
+        if asked.depfile is not None or asked.depfile_target:
+            from ..system.depfile import Depfile
+
+            depfile = Depfile.asked(asked.depfile, asked.depfile_target, [output])
         return PictureRequest(specs, output, options, rules, form, depfile)
 
     @property
