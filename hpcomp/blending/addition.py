@@ -9,9 +9,8 @@ Chuang, Weiskopf, Möller: Hue-Preserving Color Blending, 2009; R1–R3 are its 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import reduce
 from typing import Any
 
 import numpy as np
@@ -21,6 +20,8 @@ from ..color.planes import ratio
 from ..errors import SettingError, unknown_name
 
 Array = NDArray[np.floating[Any]]
+#: Two factors.
+Pair = tuple[Array, Array]
 
 #: Two shadings of one pale label, stored in 8 bits, differ by up to this many degrees.
 DEFAULT_HUE_TOLERANCE = 2.0
@@ -59,9 +60,11 @@ def chroma(p: Array) -> Array:
 def shoulder(p1: Array, p2: Array, hue_tolerance: float) -> Array:
     """How far two hues count as equal: e (…) in [0, 1], for p (2, …).
 
-    1 up to `hue_tolerance` degrees, 0 from twice that on, a smoothstep between. At tolerance 0 a
-    hard switch at `ROUNDING_ANGLE`. A vector without hue (p = 0) is equal to any.
+    1 up to `hue_tolerance` degrees, or what rounding turns a vector by, 0 from twice that on, a
+    smoothstep between. At tolerance 0 a hard switch at `ROUNDING_ANGLE`. A vector without hue
+    (p = 0) is equal to any.
     """
+    tolerance = max(math.radians(hue_tolerance), ROUNDING_ANGLE)
     m1, m2 = chroma(p1), chroma(p2)
     # Unit vectors, so that neither tiny nor huge colours leave the range of the type.
     x1, y1 = ratio(p1, m1)
@@ -69,14 +72,14 @@ def shoulder(p1: Array, p2: Array, hue_tolerance: float) -> Array:
     cosine = x1 * x2 + y1 * y2
     e = ((m1 == 0) | (m2 == 0)).astype(cosine.dtype)
     # Few pixels lie near the switch: only they need the angle itself.
-    switch_end = math.radians(2 * hue_tolerance) if hue_tolerance > 0 else ROUNDING_ANGLE
+    switch_end = 2 * tolerance if hue_tolerance > 0 else tolerance
     near = (cosine >= math.cos(switch_end) - COSINE_ROUNDING) & (e == 0)
     angle = np.arctan2(np.abs(x1[near] * y2[near] - y1[near] * x2[near]), cosine[near])
     if hue_tolerance > 0:
-        t = np.clip(angle / math.radians(hue_tolerance) - 1, 0, 1)
+        t = np.clip(angle / tolerance - 1, 0, 1)
         e[near] = 1 - t * t * (3 - 2 * t)
     else:
-        e[near] = angle <= ROUNDING_ANGLE
+        e[near] = angle <= tolerance
     return e
 
 
@@ -85,7 +88,7 @@ def _biased(share: Array, gray_bias: float) -> Array:
     return share ** (1 + 3 * gray_bias) if gray_bias else share
 
 
-def add_hue_preserving(p1: Array, p2: Array, hue_tolerance: float, gray_bias: float = 0.0) -> Array:
+def keep_hue(p1: Array, p2: Array, hue_tolerance: float, gray_bias: float = 0.0) -> Pair:
     """⊕ of two chroma vectors (2, …): the hue of the stronger one survives.
 
     The weaker one cancels its own length of it, or less with a bias against grey in [0, 1].
@@ -93,63 +96,58 @@ def add_hue_preserving(p1: Array, p2: Array, hue_tolerance: float, gray_bias: fl
     leaves the gamut on the way.
     """
     m1, m2 = chroma(p1), chroma(p2)
-    p_big = np.where(m1 >= m2, p1, p2)
     m_big, m_small = np.maximum(m1, m2), np.minimum(m1, m2)
     kept = ratio(m_big - m_small, m_big)
     if gray_bias:
         kept = 1 - _biased(ratio(m_small, m_big), gray_bias)
-    p_differ = kept * p_big  # [R2][R3]
-    p_equal = p1 + p2
     e = shoulder(p1, p2, hue_tolerance)
-    return p_differ + e * (p_equal - p_differ)  # [D3]
+    kept = np.minimum(kept + e * (1 - kept), 1)  # [R3][D3]
+    first = m1 >= m2
+    a, b = np.where(first, kept, e), np.where(first, e, kept)  # [R2]
+    unknown = ~np.isfinite(m_big)
+    return np.where(unknown, 1, a), np.where(unknown, 1, b)
 
 
-def add_traditional(p1: Array, p2: Array, hue_tolerance: float, gray_bias: float = 0.0) -> Array:
+def keep_all(p1: Array, p2: Array, hue_tolerance: float, gray_bias: float = 0.0) -> Pair:
     """Plain + of two chroma vectors (2, …); tolerance and bias have no part in it."""
-    return p1 + p2
+    ones = np.ones(p1.shape[1:], p1.dtype)
+    return ones, ones
 
 
-def add_foremost(
+def keep_foremost(
     front: Array, behind: Array, hue_tolerance: float, gray_bias: float = 0.0
-) -> Array:
+) -> Pair:
     """The chroma (2, …) in front, or what is behind where there is none in front.
 
     A baseline: what Chuang et al. 2009, section 7, say of Wang et al. 2008. Not continuous: the
     least chroma in front decides. Tolerance and bias have no part in it.
     """
-    return np.where((front != 0).any(axis=0), front, behind)
+    a = (front != 0).any(axis=0)
+    unknown = ~(np.isfinite(front) & np.isfinite(behind)).all(axis=0)
+    return (a | unknown).astype(front.dtype), (~a | unknown).astype(front.dtype)
 
 
-def sum_simultaneous(p: Array, hue_tolerance: float, gray_bias: float = 0.0) -> Array:
-    """⊕ of many chroma vectors at once, p (n, 2, …) → (2, …), whatever their order.
+def keep_hues(p: Array, hue_tolerance: float, gray_bias: float = 0.0) -> Array:
+    """⊕ of many chroma vectors at once, p (n, 2, …), whatever their order.
 
-    Each term is scaled down by its strongest rival of another hue. Terms without chroma drop out
-    first, so that the cost follows the number of those that have some, pixel by pixel.
+    Each term is scaled down by its strongest rival of another hue. Terms without chroma are kept
+    as they are, and the cost follows the number of the others, pixel by pixel.
     """
     n, _, *shape = p.shape
     flat = p.reshape(n, 2, -1)
-    has_hue = chroma(flat.swapaxes(0, 1)) > 0
+    m = chroma(flat.swapaxes(0, 1))
+    has_hue = (m > 0) & np.isfinite(m).all(axis=0)
     counts = has_hue.sum(axis=0)
     first = np.argsort(~has_hue, axis=0, kind="stable")
-    total = np.zeros((2, flat.shape[2]), p.dtype)
-    for count in np.unique(counts[counts > 0]):
+    kept = np.ones((n, flat.shape[2]), p.dtype)
+    for count in np.unique(counts[counts > 1]):
         pixels = np.flatnonzero(counts == count)
         # The pair tables hold count² values a pixel: short runs keep them in cache.
         for run in np.array_split(pixels, max(1, len(pixels) * count**2 >> 18)):
-            terms = flat[first[:count, run][:, None], np.arange(2)[None, :, None], run]
-            total[:, run] = _rivals_scaled_sum(terms, hue_tolerance, gray_bias)
-    return total.reshape(2, *shape)
-
-
-def _rivals_scaled_sum(p: Array, hue_tolerance: float, gray_bias: float) -> Array:
-    """The simultaneous rule for p (n, 2, pixels), every |p| > 0."""
-    if len(p) == 1:
-        return p[0]
-    s = 1 - rivalry(p, hue_tolerance, gray_bias).max(axis=1)
-    total = np.zeros_like(p[0])
-    for scale, term in zip(s, p, strict=True):
-        total += scale * term
-    return total
+            numbers = first[:count, run]
+            terms = flat[numbers[:, None], np.arange(2)[None, :, None], run]
+            kept[numbers, run] = 1 - rivalry(terms, hue_tolerance, gray_bias).max(axis=1)
+    return kept.reshape(n, *shape)
 
 
 def rivalry(p: Array, hue_tolerance: float, gray_bias: float = 0.0) -> Array:
@@ -172,30 +170,33 @@ def rivalry(p: Array, hue_tolerance: float, gray_bias: float = 0.0) -> Array:
     return (1 - e) * _biased(q, gray_bias)
 
 
-def sum_traditional(p: Array, hue_tolerance: float, gray_bias: float = 0.0) -> Array:
-    """Plain sum of many chroma vectors, p (n, 2, …) → (2, …)."""
-    total = np.zeros_like(p[0])
-    for term in p:
-        total += term
-    return total
+def keep_all_of_many(p: Array, hue_tolerance: float, gray_bias: float = 0.0) -> Array:
+    """Plain sum of many chroma vectors, p (n, 2, …)."""
+    return np.ones((len(p), *p.shape[2:]), p.dtype)
 
 
-def sum_foremost(p: Array, hue_tolerance: float, gray_bias: float = 0.0) -> Array:
-    """The first of many chroma vectors that is not 0, from the front, p (n, 2, …) → (2, …)."""
-    return reduce(lambda front, behind: add_foremost(front, behind, hue_tolerance), p)
+def keep_foremost_of_many(p: Array, hue_tolerance: float, gray_bias: float = 0.0) -> Array:
+    """The first of many chroma vectors that is not 0, from the front, p (n, 2, …)."""
+    has_hue = (p != 0).any(axis=1)
+    before = np.cumsum(has_hue, axis=0) - has_hue
+    unknown = ~np.isfinite(p).all(axis=(0, 1))
+    return (before == 0) | unknown
 
 
 @dataclass(frozen=True)
 class Blending:
-    """One row of the table: how two chroma vectors add, and how many do at once.
+    """One row of the table: what is kept of two chroma vectors that add, and of many at once.
 
-    Both take a hue tolerance in degrees and a bias against grey. `depends_on_order`: whether the
-    blend order matters; `depends_on_depth`: whether it matters who is in front, who is given first.
+    What is kept are factors in [0, 1]: `keep` gives a and b (…) of p1, p2 (2, …), whose sum is
+    a·p1 + b·p2, and `keep_of_many` one for each of p (n, 2, …). They are 1 where p vanishes, and
+    where any is not finite. Both take a hue tolerance in degrees and a bias against grey.
+    `depends_on_order`: whether the blend order matters; `depends_on_depth`: whether it matters who
+    is in front, who is given first.
     """
 
     name: str
-    add: Callable[[Array, Array, float, float], Array]
-    add_all: Callable[[Array, float, float], Array]
+    keep: Callable[[Array, Array, float, float], Pair]
+    keep_of_many: Callable[[Array, float, float], Array]
     depends_on_order: bool
     depends_on_depth: bool = False
 
@@ -203,13 +204,22 @@ class Blending:
 BLENDINGS: dict[str, Blending] = {
     row.name: row
     for row in (
-        Blending("hue-preserving", add_hue_preserving, sum_simultaneous, depends_on_order=True),
-        Blending("traditional", add_traditional, sum_traditional, depends_on_order=False),
+        Blending("hue-preserving", keep_hue, keep_hues, depends_on_order=True),
+        Blending("traditional", keep_all, keep_all_of_many, depends_on_order=False),
         Blending(
-            "foremost", add_foremost, sum_foremost, depends_on_order=False, depends_on_depth=True
+            "foremost",
+            keep_foremost,
+            keep_foremost_of_many,
+            depends_on_order=False,
+            depends_on_depth=True,
         ),
     )
 }
+
+
+def added(p: Sequence[Array], kept: Sequence[Array | float]) -> Array:
+    """The sum (2, …) of chroma vectors, each (2, …), of which factors (…) are kept."""
+    return sum((factor * of for factor, of in zip(kept, p, strict=True)), np.zeros_like(p[0]))
 
 
 def blending(name: str) -> Blending:

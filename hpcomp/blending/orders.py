@@ -10,27 +10,22 @@ from dataclasses import dataclass
 from functools import reduce
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from ..errors import SettingError
 
-Array = NDArray[np.floating[Any]]
-Add = Callable[[Array, Array], Array]
-AddAll = Callable[[Array], Array]
-#: Reduces chroma terms, bottom first, p (n, 2, …) → (2, …).
-Reducer = Callable[[Array, Add, AddAll], Array]
+#: Reduces terms, bottom first, given how two of them add and how all do at once. A term is anything
+#: that adds: p (2, …), a `terms.Term` or what else.
+Reducer = Callable[[Any, Callable[[Any, Any], Any], Callable[[Any], Any]], Any]
 
 
-def _bottom_up(terms: Array, add: Add, add_all: AddAll) -> Array:
+def _bottom_up(terms: Any, add: Any, add_all: Any) -> Any:
     return reduce(add, terms)
 
 
-def _top_down(terms: Array, add: Add, add_all: AddAll) -> Array:
+def _top_down(terms: Any, add: Any, add_all: Any) -> Any:
     return reduce(add, terms[::-1])
 
 
-def _balanced(terms: Array, add: Add, add_all: AddAll) -> Array:
+def _balanced(terms: Any, add: Any, add_all: Any) -> Any:
     level = list(terms)
     while len(level) > 1:
         odd_one = level[len(level) & ~1 :]
@@ -38,7 +33,7 @@ def _balanced(terms: Array, add: Add, add_all: AddAll) -> Array:
     return level[0]
 
 
-def _simultaneous(terms: Array, add: Add, add_all: AddAll) -> Array:
+def _simultaneous(terms: Any, add: Any, add_all: Any) -> Any:
     return add_all(terms)
 
 
@@ -74,7 +69,7 @@ def _permutation(sequence: Sequence[int], n_layers: int) -> Order:
         )
     numbers = tuple(int(number) for number in sequence)
 
-    def reduce_permuted(terms: Array, add: Add, add_all: AddAll) -> Array:
+    def reduce_permuted(terms: Any, add: Any, add_all: Any) -> Any:
         return reduce(add, (terms[number] for number in numbers))
 
     return Order(",".join(map(str, numbers)), reduce_permuted, numbers)

@@ -70,13 +70,21 @@ class StackRules:
         space = spaces.space(self.space.name, rgb_to_xyz)
         return replace(self, primaries=primaries, space=space, background=background)
 
+    def keep(self, front: Array, behind: Array) -> addition.Pair:
+        """What the blending keeps of two p (2, …); only `foremost` asks who is in front."""
+        return self.blending.keep(front, behind, self.hue_tolerance, self.gray_bias)
+
+    def keep_of_many(self, terms: Array) -> Array:
+        """What the blending keeps of each of p (n, 2, …), added at once."""
+        return self.blending.keep_of_many(terms, self.hue_tolerance, self.gray_bias)
+
     def add(self, front: Array, behind: Array) -> Array:
-        """⊕ of two p (2, …), or what else the blending is; only `foremost` asks who is in front."""
-        return self.blending.add(front, behind, self.hue_tolerance, self.gray_bias)
+        """⊕ of two p (2, …), or what else the blending is."""
+        return addition.added((front, behind), self.keep(front, behind))
 
     def add_all(self, terms: Array) -> Array:
         """All of p (n, 2, …) at once → (2, …)."""
-        return self.blending.add_all(terms, self.hue_tolerance, self.gray_bias)
+        return addition.added(tuple(terms), tuple(self.keep_of_many(terms)))
 
     @property
     def front_to_back(self) -> tuple[int, ...]:

@@ -164,15 +164,28 @@ def to_xyz(primaries: Primaries) -> Matrix:
 
 
 def converted(rgb: Array, source: Primaries, target: Primaries) -> Array:
-    """Linear RGB (…, 3) of some primaries in others, in its own precision."""
-    matrix = conversion(source, target)
-    if matrix is None:
+    """Linear RGB (…, 3) of some primaries in others, in its own precision; greys stay exactly."""
+    pairs = conversion_pairs(source, target)
+    if pairs is None:
         return rgb
     # The operations and their order are part of the contract: the kernel has the same ones.
     red, green, blue = np.moveaxis(rgb, -1, 0)
-    return np.stack(
-        [float(r) * red + float(g) * green + float(b) * blue for r, g, b in matrix], axis=-1
-    )
+    red_green, blue_green = red - green, blue - green
+    return np.stack([green + r * red_green + b * blue_green for r, b in pairs], axis=-1)
+
+
+@cache
+def conversion_pairs(
+    source: Primaries, target: Primaries
+) -> tuple[tuple[float, float], ...] | None:
+    """`conversion` by rows, of red and blue less green, beside green; None where it is None.
+
+    Each row sums to 1, as white becomes white: so equal channels stay equal.
+    """
+    matrix = conversion(source, target)
+    if matrix is None:
+        return None
+    return tuple((float(row[0] / row.sum()), float(row[2] / row.sum())) for row in matrix)
 
 
 def adaptation(white: Array, to_white: Array) -> Float64:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .gamut import into_gamut
-from .primaries import REC709, Primaries
+from .spaces import DEFAULT_SPACE, Space, space
 from .transfer import SRGB, encode_srgb
 
 Array = NDArray[np.floating[Any]]
@@ -38,21 +38,22 @@ def to_straight_srgb(
     rgba: Array,
     code_type: type[np.unsignedinteger[Any]],
     losses: Losses,
-    primaries: Primaries = REC709,
+    codes_space: Space | None = None,
 ) -> NDArray[np.unsignedinteger[Any]]:
     """Rounded code values on the sRGB curve, straight, as many as `code_type` has.
 
-    `rgba`: (…, 4), linear, premultiplied, alpha in [0, 1], in `primaries`, whose gamut is that of
-    the codes. Losses are counted.
+    `rgba`: (…, 4), linear, premultiplied, alpha in [0, 1]. Losses are counted.
     Colours outside the gamut by more than half a code value move towards the grey of their own
-    luminance, so hue and luminance stay; above white they become white, below black black.
+    luminance, so luminance stays, and hue in `codes_space`, which is of the gamut's primaries and
+    by default the paper's; above white they become white, below black black.
     """
+    codes_space = codes_space or space(DEFAULT_SPACE)
     flat = rgba.reshape(-1, 4)
     codes = np.empty(flat.shape, code_type)
     for begin in range(0, len(flat), _ENCODED_PIXELS):
         block = slice(begin, begin + _ENCODED_PIXELS)
         codes[block] = _straight_srgb_codes(
-            flat[block], int(np.iinfo(code_type).max), losses, primaries
+            flat[block], int(np.iinfo(code_type).max), losses, codes_space
         )
     return codes.reshape(rgba.shape)
 
@@ -61,9 +62,7 @@ def to_straight_srgb(
 _ENCODED_PIXELS = 1 << 14
 
 
-def _straight_srgb_codes(
-    rgba: Array, largest: int, losses: Losses, primaries: Primaries
-) -> Float64:
+def _straight_srgb_codes(rgba: Array, largest: int, losses: Losses, codes_space: Space) -> Float64:
     """(n, 4) → rounded code values 0 … `largest`, as floats."""
     half_code = 0.5 / largest
     unknown = np.any(np.isnan(rgba), axis=1)
@@ -85,15 +84,24 @@ def _straight_srgb_codes(
     outside: NDArray[np.bool_] = ((straight < lowest) | (straight > highest)).any(axis=1)
     if outside.any():
         losses.out_of_gamut += int(outside.sum())
-        straight[outside] = into_gamut(straight[outside], primaries)
+        straight[outside] = into_gamut(straight[outside], codes_space)
     np.rint(encode_srgb(np.clip(straight, 0, 1)) * largest, out=codes[:, :3])
     return codes
 
 
 def to_half_range(rgba: Array, losses: Losses) -> Array:
-    """`rgba` with finite values clamped to what a half-float holds; clamped pixels are counted."""
-    beyond = (np.abs(rgba) > LARGEST_HALF) & np.isfinite(rgba)
+    """`rgba` (…, 4) with colours beyond what a half-float holds made darker, and counted.
+
+    All three channels are scaled alike, so that hue and saturation stay in every space. What is
+    not finite stays as it is.
+    """
+    rgb = rgba[..., :3]
+    size = np.abs(np.where(np.isfinite(rgb), rgb, 0)).max(axis=-1)
+    beyond = size > LARGEST_HALF
     if not beyond.any():
         return rgba
-    losses.beyond_half += int(beyond.any(axis=-1).sum())
-    return np.where(beyond, np.copysign(LARGEST_HALF, rgba), rgba).astype(rgba.dtype)
+    losses.beyond_half += int(beyond.sum())
+    scaled = rgba.copy()
+    factor = (LARGEST_HALF / size[beyond]).astype(rgba.dtype)[:, None]
+    scaled[beyond, :3] *= factor
+    return scaled

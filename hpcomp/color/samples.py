@@ -9,9 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..geometry import Window
+from . import spaces
 from .encodings import LINEAR_REC709, ColorEncoding
 from .primaries import REC709, Primaries, converted, to_xyz
 from .quantization import Losses, to_half_range, to_straight_srgb
+from .spaces import DEFAULT_SPACE
 from .transfer import LINEAR, decode_table
 
 Rgba = NDArray[np.float32]
@@ -181,17 +183,21 @@ def encode(
     losses: Losses,
     working: Primaries = REC709,
     gamut: Primaries = REC709,
+    space_name: str = DEFAULT_SPACE,
 ) -> Samples:
     """RGBA (…, 4) as samples of an output: straight codes, or linear premultiplied floats.
 
     `kind` is one of `OUTPUT_TYPES`; anything else leaves the RGBA as it is. `working`: primaries of
     the RGBA, and `gamut` those of codes, which have the curve of sRGB; floats stay in `working`.
+    Codes keep the hues that the space of that name has.
     """
     if kind in ("uint8", "uint16"):
         if working != gamut:
             rgb = converted(rgba[..., :3], working, gamut)
             rgba = np.concatenate([rgb, rgba[..., 3:]], axis=-1)
-        return to_straight_srgb(rgba, np.uint8 if kind == "uint8" else np.uint16, losses, gamut)
+        codes_space = spaces.space(space_name, to_xyz(gamut))
+        code_type = np.uint8 if kind == "uint8" else np.uint16
+        return to_straight_srgb(rgba, code_type, losses, codes_space)
     if kind == "half":
         return to_half_range(rgba, losses).astype(np.float16)
     return rgba

@@ -64,9 +64,11 @@ class Space:
     `forward`: rgb (3, …), linear, unbounded → Y (…), p (2, …).
     `inverse`: Y (…), p (2, …) → rgb (3, …).
     `coefficients`: the same as numbers. `rgb_to_xyz`: of the primaries, white being D65.
-    `hue_axis`: the number that reports give to a hue. `gamut_turn`: the degrees between p vectors
-    that the way back into gamut turns a hue by at most: tried from Rec. 709 to ACEScg, with colours
-    whose channels are not negative.
+    `hue_axis`: the number that reports give to a hue. `gamut_slack`: by how many luminances of a
+    colour curves of one hue go below black and above white before they end inside. `gamut_turn`:
+    the degrees between p vectors that the way back into gamut turns a hue by at most, on the way to
+    a file of Rec. 709 too: tried from Rec. 709 to ACEScg, with colours that have no negative
+    channel.
     Greys have p = 0 exactly, and p = 0 gives a grey exactly.
     """
 
@@ -76,12 +78,23 @@ class Space:
     inverse: Callable[[Array, Array], Array] = field(repr=False)
     coefficients: Coefficients = field(repr=False)
     hue_axis: HueAxis = field(default=HEXAGON, repr=False)
+    gamut_slack: tuple[float, float] = (0.0, 0.0)
     gamut_turn: float = 0.0
 
     @property
     def linear(self) -> bool:
         """Whether the maps are: then + of p is + of colours, and ⊕ stays in gamut by itself."""
         return isinstance(self.coefficients, PlaneCoefficients)
+
+    @property
+    def straight(self) -> bool:
+        """Whether colours of one hue and luminance lie on a line in RGB."""
+        return isinstance(self.coefficients, PlaneCoefficients | HslCoefficients)
+
+
+#: Gamut slacks, in luminances: of the curve to pure blue, and of those to yellows.
+OKLAB_SLACK = (0.01, 0.0)
+CIELAB_SLACK = (0.0, 0.035)
 
 
 def _plane_basis(weights: tuple[float, float, float]) -> NDArray[np.float64]:
@@ -171,7 +184,7 @@ def oklab(rgb_to_xyz: Matrix = REC709_TO_XYZ) -> Space:
     coefficients = oklab_coefficients(rgb_to_xyz)
     forward, inverse = partial(oklab_forward, coefficients), partial(oklab_inverse, coefficients)
     axis = angle_axis("Oklab hue", lambda rgb: forward(rgb)[1])
-    return Space("oklab", rgb_to_xyz, forward, inverse, coefficients, axis, gamut_turn=1.5)
+    return Space("oklab", rgb_to_xyz, forward, inverse, coefficients, axis, OKLAB_SLACK, 0.5)
 
 
 def cielab(rgb_to_xyz: Matrix = REC709_TO_XYZ) -> Space:
@@ -179,7 +192,7 @@ def cielab(rgb_to_xyz: Matrix = REC709_TO_XYZ) -> Space:
     coefficients = cielab_coefficients(rgb_to_xyz)
     forward, inverse = partial(cielab_forward, coefficients), partial(cielab_inverse, coefficients)
     axis = angle_axis("CIELAB hue", lambda rgb: forward(rgb)[1])
-    return Space("cielab", rgb_to_xyz, forward, inverse, coefficients, axis, gamut_turn=3.5)
+    return Space("cielab", rgb_to_xyz, forward, inverse, coefficients, axis, CIELAB_SLACK, 4.5)
 
 
 def _weights(rgb_to_xyz: Matrix) -> tuple[float, float, float]:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..blending import addition
+from ..blending.terms import sum_of_terms, term_of
 from ..color import gamut, spaces
 from ..color.primaries import to_xyz, working_primaries
 from ..color.quantization import Losses
@@ -108,11 +109,10 @@ def hue_add(
         raise MismatchError(f"colours of shape {a.shape}: RGB needs 3 components on the last axis")
     dtype = np.result_type(np.float32, *(c.dtype for c in (a, b) if c.dtype == np.float64))
     first, second = (c.reshape(-1, 3).T.astype(dtype) for c in (a, b))
-    y1, p1 = blending_space.forward(first)
-    y2, p2 = blending_space.forward(second)
-    p = addition.add_hue_preserving(p1, p2, tolerance, bias)
-    bounds = gamut.bounds_of(blending_space, first) + gamut.bounds_of(blending_space, second)
-    rgb = gamut.colors_within(blending_space, y1 + y2, p, bounds)  # Eq. 1
+    terms = [term_of(blending_space, colors, 0.0) for colors in (first, second)]
+    kept = addition.keep_hue(terms[0].p, terms[1].p, tolerance, bias)
+    both = sum_of_terms(terms, kept, blending_space)  # Eq. 1
+    rgb = gamut.colors_within(blending_space, both.luminance, both.p, both.rgb, both.bounds)
     return rgb.T.reshape(a.shape)
 
 

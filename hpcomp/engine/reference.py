@@ -7,6 +7,8 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,8 +16,8 @@ from numpy.typing import NDArray
 
 from ..blending.orders import ORDERS
 from ..blending.rules import Reduction, StackRules
-from ..blending.terms import term, weighted
-from ..color.gamut import bounds_of, colors_within
+from ..blending.terms import Term, layer_term, sum_of, sum_of_many, term_of, weighted
+from ..color.gamut import colors_within
 from ..color.primaries import REC709, Primaries
 from ..color.quantization import Losses
 from ..color.samples import Samples, Strip, cropped, encode, linear_rgba, spread
@@ -97,7 +99,7 @@ class _Accumulator(ABC):
         """
         with np.errstate(all="ignore"):
             rgba = self.composite().reshape(self.height, self.width, 4)
-            return encode(rgba, kind, losses, self.rules.primaries, gamut)
+            return encode(rgba, kind, losses, self.rules.primaries, gamut, self.rules.space.name)
 
     def result_and_summary(
         self, kind: str, losses: Losses, gamut: Primaries, strip: StripToMeasure
@@ -105,12 +107,13 @@ class _Accumulator(ABC):
         """The samples of the accumulated strip, and its summary."""
         return self.result(kind, losses, gamut), *ENGINE.summary(strip)
 
-    def term(self, number: int, rgba: Array) -> tuple[Array, Array, Array, Array]:
-        """As `terms.term`, of layer `number`."""
-        return term(self.rules.blending_space, self.rules.opacities[number], rgba)
+    def term(self, number: int, rgba: Array) -> tuple[Term, Array]:
+        """As `terms.layer_term`, of layer `number`."""
+        return layer_term(self.rules.blending_space, self.rules.opacities[number], rgba)
 
-    def _no_bounds(self, n_pixels: int, dtype: Any) -> Array:
-        return bounds_of(self.rules.blending_space, np.zeros((3, n_pixels), dtype))
+    def _no_light(self, n_pixels: int, dtype: Any) -> Term:
+        """Planes of the colour of no layer at all."""
+        return term_of(self.rules.blending_space, np.zeros((3, n_pixels), dtype), 0.0)
 
     @abstractmethod
     def _begin(self, n_pixels: int, dtype: Any) -> None: ...
@@ -128,49 +131,43 @@ class BottomUp(_Accumulator):
     """Folds layers from the bottom: c ← F_A c_i ⊕ F_B c, the operators taken literally."""
 
     def _begin(self, n_pixels: int, dtype: Any) -> None:
-        self.luminance, self.alpha = np.zeros((2, n_pixels), dtype)
-        self.p, self.bounds = np.zeros((2, n_pixels), dtype), self._no_bounds(n_pixels, dtype)
+        self.below, self.alpha = self._no_light(n_pixels, dtype), np.zeros(n_pixels, dtype)
 
     def take(self, number: int, rgba: Array) -> None:
         operator = self.rules.operators[number]
         for block in _blocks(len(rgba)):
-            luminance, p, alpha, bounds = self.term(number, rgba[block])
+            term, alpha = self.term(number, rgba[block])
             if operator is not None:
                 alpha_below = self.alpha[block]
                 f_a, f_b = operator.factors(alpha, alpha_below)
-                luminance = f_a * luminance + f_b * self.luminance[block]  # [R1]
-                front_first = operator.front_first(f_a * p, f_b * self.p[:, block])
-                p = self.rules.add(*front_first)  # Eq. 2 with ⊕
-                bounds = f_a * bounds + f_b * self.bounds[:, block]
+                both = term.weighted(f_a), _part(self.below, block).weighted(f_b)
+                term = sum_of(self.rules, *operator.front_first(*both))  # Eq. 2 with ⊕
                 alpha = operator.alpha(alpha, alpha_below)
-            self.luminance[block], self.p[:, block], self.alpha[block] = luminance, p, alpha
-            self.bounds[:, block] = bounds
+            _put(self.below, block, term)
+            self.alpha[block] = alpha
 
     def composite(self) -> Array:
-        return _result(self.rules, self.luminance, self.p, self.bounds, self.alpha)
+        return _result(self.rules, self.below, self.alpha)
 
 
 class FrontToBack(_Accumulator):
     """Folds layers from the top, all `over`: beside them only the transmittance is kept."""
 
     def _begin(self, n_pixels: int, dtype: Any) -> None:
-        self.luminance, self.alpha = np.zeros((2, n_pixels), dtype)
-        self.p, self.bounds = np.zeros((2, n_pixels), dtype), self._no_bounds(n_pixels, dtype)
+        self.above, self.alpha = self._no_light(n_pixels, dtype), np.zeros(n_pixels, dtype)
         self.transmittance = np.ones(n_pixels, dtype)
 
     def take(self, number: int, rgba: Array) -> None:
         for block in _blocks(len(rgba)):
-            luminance, p, alpha, bounds = self.term(number, rgba[block])
+            term, alpha = self.term(number, rgba[block])
             weight = self.transmittance[block]
-            self.luminance[block] += weight * luminance  # [R1]
-            self.p[:, block] = self.rules.add(self.p[:, block], weight * p)
-            self.bounds[:, block] += weight * bounds
+            both = sum_of(self.rules, _part(self.above, block), term.weighted(weight))
+            _put(self.above, block, both)
             self.alpha[block] += weight * alpha
             self.transmittance[block] *= 1 - alpha
 
     def composite(self) -> Array:
-        alpha = np.minimum(self.alpha, 1)
-        return _result(self.rules, self.luminance, self.p, self.bounds, alpha)
+        return _result(self.rules, self.above, np.minimum(self.alpha, 1))
 
 
 class AllLayers(_Accumulator):
@@ -191,11 +188,16 @@ class AllLayers(_Accumulator):
     def _reduced(self, layers: list[Array]) -> Array:
         rules = self.rules
         terms = weighted(rules, rules.blending_space, layers)
-        luminance = np.zeros_like(terms.alpha)
-        for luminance_layer in terms.luminance:
-            luminance += luminance_layer  # [R1]
-        p = rules.adding_order.reduce(terms.p, rules.add, rules.add_all)
-        return _result(rules, luminance, p, terms.bounds, terms.alpha)
+        # The bounds come summed: no single term has its own.
+        none = np.zeros_like(terms.bounds)
+        of_layers = [
+            Term(luminance, p, rgb, none)
+            for luminance, p, rgb in zip(terms.luminance, terms.p, terms.rgb, strict=True)
+        ]
+        reduced = rules.adding_order.reduce(
+            of_layers, partial(sum_of, rules), partial(sum_of_many, rules)
+        )
+        return _result(rules, replace(reduced, bounds=terms.bounds), terms.alpha)
 
 
 def _blocks(n_pixels: int) -> Iterator[slice]:
@@ -203,26 +205,30 @@ def _blocks(n_pixels: int) -> Iterator[slice]:
         yield slice(begin, min(begin + BLOCK_PIXELS, n_pixels))
 
 
-def _result(
-    rules: StackRules, luminance: Array, p: Array, bounds_of_all: Array, alpha: Array
-) -> Array:
+def _part(term: Term, block: slice) -> Term:
+    """Some pixels of it, as views."""
+    return Term(*(planes[..., block] for planes in vars(term).values()))
+
+
+def _put(term: Term, block: slice, part: Term) -> None:
+    """Replaces some pixels of it."""
+    for name, planes in vars(part).items():
+        getattr(term, name)[..., block] = planes
+
+
+def _result(rules: StackRules, stack: Term, alpha: Array) -> Array:
     """The reduced stack over its background and exposed, as RGBA (n, 4)."""
     space = rules.blending_space
     rgba = np.empty((len(alpha), 4), alpha.dtype)
     for block in _blocks(len(alpha)):
-        y_block, p_block, a_block = luminance[block], p[:, block], alpha[block]
-        b_block = bounds_of_all[:, block]
+        term, a_block = _part(stack, block), alpha[block]
         if rules.background is not None:
-            colour = np.array(rules.background, alpha.dtype)[:, None]
-            y_below, p_below = space.forward(colour)
-            uncovered = 1 - a_block
-            y_block = y_block + uncovered * y_below
-            p_block = rules.add(p_block, uncovered * p_below)
-            b_block = b_block + uncovered * bounds_of(space, colour, 1.0)
+            colour = term_of(space, np.array(rules.background, alpha.dtype)[:, None], 1.0)
+            term = sum_of(rules, term, colour.weighted(1 - a_block))
             a_block = np.ones_like(a_block)
-        rgb = colors_within(space, y_block, p_block, b_block)
+        rgb = colors_within(space, term.luminance, term.p, term.rgb, term.bounds)
         if rules.exposure:
-            rgb *= 2.0**rules.exposure
+            rgb = rgb * 2.0**rules.exposure
         rgba[block, :3] = rgb.T
         rgba[block, 3] = a_block
     return rgba

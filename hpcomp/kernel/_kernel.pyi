@@ -89,7 +89,7 @@ def layer(
     samples: _Samples,
     decode: NDArray[np.float32] | None,
     alpha_straight: bool,
-    matrix: Sequence[float] | None,
+    matrix: _Pairs | None,
     left: int,
     top: int,
     opacity: float,
@@ -113,6 +113,8 @@ def oklab_maps(
     to_roots: _Pairs,
     from_lms: _Pairs,
     inverse_largest: float,
+    slack_lo: float,
+    slack_hi: float,
 ) -> SpaceMaps: ...
 def cielab_maps(
     *,
@@ -121,8 +123,12 @@ def cielab_maps(
     to_xz: _Pairs,
     from_xz: _Pairs,
     inverse_largest: float,
+    slack_lo: float,
+    slack_hi: float,
 ) -> SpaceMaps: ...
-def background(*, luminance: float, p: Sequence[float], lo: float, hi: float) -> Background: ...
+def background(
+    *, luminance: float, p: Sequence[float], rgb: Sequence[float], lo: float, hi: float
+) -> Background: ...
 def rules(
     *,
     blending: Blending,
@@ -145,8 +151,9 @@ def codes(
     lowest: float,
     darkest: float,
     highest: float,
-    matrix: Sequence[float] | None,
+    matrix: _Pairs | None,
     luminance_weights: Sequence[float],
+    space: SpaceMaps,
 ) -> Codes: ...
 def provenance(
     *, layer: NDArray[np.uint32], grey: NDArray[np.float32], margin: NDArray[np.float32]

@@ -82,9 +82,10 @@ HPCOMP_INLINE ScaledPair scaled_pair(float p0, float p1, float q0, float q1) {
             scale.up};
 }
 
-// p <- p (+) q: planes of n.
+// What (+) keeps of two p, factors in [0, 1]: planes of n. Where one is not finite all is kept.
 template <bool kBiased>
-HPCOMP_INLINE void add_keeping_hue(const Rules &rules, int n, Row p0, Row p1, ConstRow q0, ConstRow q1) {
+HPCOMP_INLINE void keep_hue(const Rules &rules, int n, ConstRow p0, ConstRow p1, ConstRow q0, ConstRow q1,
+                            Row a, Row b) {
     Plane biased;
     if (kBiased) {
         // A loop of its own: with the shoulder in it, it would be too long to be vectorised.
@@ -99,40 +100,100 @@ HPCOMP_INLINE void add_keeping_hue(const Rules &rules, int n, Row p0, Row p1, Co
         const ScaledPair v = scaled_pair(p0[i], p1[i], q0[i], q1[i]);
         const float most = larger(v.m1, v.m2), least = smaller(v.m1, v.m2);
         const float plain = most > 0 ? (most - least) / most : 0.0f;  // [R3]
-        const float kept = kBiased ? biased[i] : plain;
-        const float x_differ = kept * (v.m1 >= v.m2 ? v.x1 : v.x2);   // [R2]
-        const float y_differ = kept * (v.m1 >= v.m2 ? v.y1 : v.y2);
+        const float differ = kBiased ? biased[i] : plain;
         const float e = shoulder(rules, v.x1, v.y1, v.x2, v.y2);      // [D3]
-        p0[i] = (x_differ + e * (v.x1 + v.x2 - x_differ)) * v.up;
-        p1[i] = (y_differ + e * (v.y1 + v.y2 - y_differ)) * v.up;
+        const float kept = at_most_one(differ + e * (1 - differ));
+        const bool first = v.m1 >= v.m2;                              // [R2]
+        const bool finite = is_finite(p0[i], p1[i], q0[i], q1[i]);
+        a[i] = finite ? (first ? kept : e) : 1.0f;
+        b[i] = finite ? (first ? e : kept) : 1.0f;
     }
 }
 
-// p <- p and q, `behind` it or in front of it, by the blending: planes of n.
-HPCOMP_INLINE void add(const Rules &rules, int n, Row p0, Row p1, ConstRow q0, ConstRow q1,
-                       bool behind = false) {
+// What the blending keeps of p and of q, which is `behind` it or in front of it: planes of n.
+HPCOMP_INLINE void keep(const Rules &rules, int n, ConstRow p0, ConstRow p1, ConstRow q0, ConstRow q1,
+                        bool behind, Row a, Row b) {
     switch (rules.blending) {
     case Blending::kHuePreserving:
         if (rules.gray_power > 0)
-            add_keeping_hue<true>(rules, n, p0, p1, q0, q1);
+            keep_hue<true>(rules, n, p0, p1, q0, q1, a, b);
         else
-            add_keeping_hue<false>(rules, n, p0, p1, q0, q1);
+            keep_hue<false>(rules, n, p0, p1, q0, q1, a, b);
         break;
     case Blending::kTraditional:
-        for (int i = 0; i < n; ++i) {
-            p0[i] += q0[i];
-            p1[i] += q1[i];
-        }
+        for (int i = 0; i < n; ++i) a[i] = b[i] = 1;
         break;
     case Blending::kForemost:
         for (int i = 0; i < n; ++i) {
             const bool p_has_hue = (p0[i] != 0) | (p1[i] != 0);
             const bool q_has_hue = (q0[i] != 0) | (q1[i] != 0);
             const bool stays = behind ? p_has_hue : !q_has_hue;
-            p0[i] = stays ? p0[i] : q0[i];
-            p1[i] = stays ? p1[i] : q1[i];
+            const bool finite = is_finite(p0[i], p1[i], q0[i], q1[i]);
+            a[i] = (stays | !finite) ? 1.0f : 0.0f;
+            b[i] = (!stays | !finite) ? 1.0f : 0.0f;
         }
     }
+}
+
+// p <- p and q by the blending: planes of n.
+HPCOMP_INLINE void add(const Rules &rules, int n, Row p0, Row p1, ConstRow q0, ConstRow q1,
+                       bool behind = false) {
+    Plane a, b;
+    keep(rules, n, p0, p1, q0, q1, behind, a, b);
+    for (int i = 0; i < n; ++i) {
+        p0[i] = a[i] * p0[i] + b[i] * q0[i];
+        p1[i] = a[i] * p1[i] + b[i] * q1[i];
+    }
+}
+
+// Colours times one plane, others times another, and the same more of each channel: planes of n.
+HPCOMP_INLINE void mix_colors(int n, const Light &to, ConstRow kept, const Light &from, ConstRow kept_from,
+                              ConstRow more) {
+    float *red = to.red, *green = to.green, *blue = to.blue;
+    const float *r = from.red, *g = from.green, *b = from.blue;
+#pragma GCC ivdep
+    for (int i = 0; i < n; ++i) {
+        red[i] = (kept[i] * red[i] + kept_from[i] * r[i]) + more[i];
+        green[i] = (kept[i] * green[i] + kept_from[i] * g[i]) + more[i];
+        blue[i] = (kept[i] * blue[i] + kept_from[i] * b[i]) + more[i];
+    }
+}
+
+// to <- to and `from`, by the blending and each with its weight: planes of n. What is not kept of a colour
+// becomes grey, none of it below 0 where no luminance is.
+HPCOMP_INLINE void add(const Rules &rules, int n, const Light &to, const float *weight, const Light &from,
+                       const float *weight_from, bool behind) {
+    const bool linear = rules.maps == Maps::kLinear;
+    float *luminance = to.luminance, *p0 = to.p0, *p1 = to.p1;
+    const float *y = from.luminance, *q0 = from.p0, *q1 = from.p1;
+    Plane x0, x1, z0, z1, a, b, kept, kept_from, grey;
+    if (linear && rules.blending == Blending::kTraditional) {  // of which nobody asks p
+        for (int i = 0; i < n; ++i) grey[i] = 0;
+        mix_colors(n, to, weight, from, weight_from, grey);
+        for (int i = 0; i < n; ++i) luminance[i] = weight[i] * luminance[i] + weight_from[i] * y[i];
+        return;
+    }
+    for (int i = 0; i < n; ++i) {
+        x0[i] = weight[i] * p0[i];
+        x1[i] = weight[i] * p1[i];
+        z0[i] = weight_from[i] * q0[i];
+        z1[i] = weight_from[i] * q1[i];
+    }
+    keep(rules, n, x0, x1, z0, z1, behind, a, b);
+#pragma GCC ivdep
+    for (int i = 0; i < n; ++i) {
+        p0[i] = a[i] * x0[i] + b[i] * z0[i];
+        p1[i] = a[i] * x1[i] + b[i] * z1[i];
+    }
+#pragma GCC ivdep
+    for (int i = 0; i < n; ++i) {
+        const float of_to = weight[i] * luminance[i], of_from = weight_from[i] * y[i];
+        kept[i] = linear ? a[i] * weight[i] : weight[i];
+        kept_from[i] = linear ? b[i] * weight_from[i] : weight_from[i];
+        grey[i] = (of_to - kept[i] * luminance[i]) + (of_from - kept_from[i] * y[i]);
+        luminance[i] = of_to + of_from;  // [R1]
+    }
+    mix_colors(n, to, kept, from, kept_from, grey);
 }
 
 HPCOMP_INLINE void factor(Factor kind, const float *alpha, int n, float *out) {
@@ -220,12 +281,11 @@ HPCOMP_INLINE int find_terms(const float *p, int count, int begin, int *there, i
     return n;
 }
 
-// The simultaneous rule for one run of lanes: `n` terms of p (count, 2, kBlock), those of the numbers
-// `there`, from column `begin` on. `pairs` holds `pair_floats`, `neighbors` an int for each
-// pair and each term.
-HPCOMP_INLINE void rivals_scaled_sum(const Rules &rules, const float *p, const int *there, int n,
-                                     int begin, float *pairs, int *neighbors, float *sum0, float *sum1) {
-    for (int l = 0; l < kLanes; ++l) sum0[l] = sum1[l] = 0;
+// The simultaneous rule for one run of lanes: `kept` (n, kLanes) gets what it keeps of `n` terms of
+// p (count, 2, kBlock), those of the numbers `there`, from column `begin` on. `pairs` holds
+// `pair_floats`, `neighbors` an int for each pair and each term.
+HPCOMP_INLINE void keep_beside_rivals(const Rules &rules, const float *p, const int *there, int n,
+                                      int begin, float *pairs, int *neighbors, float *kept) {
     if (n == 0) return;
 
     const auto pair = [n](float *table, int i, int k) { return table + (int64_t(i) * n + k) * kLanes; };
@@ -298,16 +358,11 @@ HPCOMP_INLINE void rivals_scaled_sum(const Rules &rules, const float *p, const i
                 if (j != i)
                     biased_part(rules, pair(support, i, j), pair(support, j, i), hold + j * kLanes,
                                 pair(e, i, j), part);
-            ConstRow x = term(i), y = x + kBlock;
-            for (int l = 0; l < kLanes; ++l) {
-                sum0[l] += (1 - part[l]) * x[l];
-                sum1[l] += (1 - part[l]) * y[l];
-            }
+            for (int l = 0; l < kLanes; ++l) kept[i * kLanes + l] = 1 - part[l];
         }
         return;
     }
     for (int l = 0; l < kLanes; l += kRegister) {
-        Lanes total0 = {}, total1 = {};
         for (int i = 0; i < n; ++i) {
             // The strongest rival's (1 - e) q as a fraction: compared without dividing.
             Lanes part = {}, whole = part + 1.0f;
@@ -322,95 +377,130 @@ HPCOMP_INLINE void rivals_scaled_sum(const Rules &rules, const float *p, const i
                 whole = stronger ? own : whole;
             }
             const Lanes scaled = 1.0f - part / whole;
-            total0 += scaled * lanes_of(term(i) + l);
-            total1 += scaled * lanes_of(term(i) + kBlock + l);
+            std::memcpy(kept + i * kLanes + l, &scaled, sizeof scaled);
         }
-        std::memcpy(sum0 + l, &total0, sizeof total0);
-        std::memcpy(sum1 + l, &total1, sizeof total1);
     }
 }
 
-// The same for whatever number of terms. Which way a pixel goes depends on its own terms alone, so
-// that those beside it change no bit of it.
-HPCOMP_INLINE void sum_at_once(const Rules &rules, const float *p, int count, int begin, float *scratch,
-                               float *sum0, float *sum1) {
+// The same for whatever number of terms: `kept` (count, kBlock) gets all factors, from column `begin` on.
+// Which way a pixel goes depends on its own terms alone, so that those beside it change no bit of it.
+HPCOMP_INLINE void keep_at_once(const Rules &rules, const float *p, int count, int begin, float *scratch,
+                                float *kept) {
     int *there = reinterpret_cast<int *>(scratch), *neighbors = there + count;
     scratch += number_floats(count);
+    kept += begin;
+    for (int k = 0; k < count; ++k)
+        for (int l = 0; l < kLanes; ++l) kept[k * kBlock + l] = 1;
     int own[kLanes];
+    float of_few[kTabledTerms * kLanes];
     const int n = find_terms<kLanes>(p, count, begin, there, own);
     int sorted = 0;  // lanes whose terms are sorted by hue, not paired
     for (int l = 0; l < kLanes; ++l) sorted += own[l] > kPairedTerms;
     const bool together = n <= kTabledTerms;
-    if (together && sorted < kLanes)
-        rivals_scaled_sum(rules, p, there, n, begin, scratch, neighbors, sum0, sum1);
-    if (together && sorted == 0) return;
-    for (int l = 0; l < kLanes; ++l) {
+    if (together && sorted < kLanes) {
+        keep_beside_rivals(rules, p, there, n, begin, scratch, neighbors, of_few);
+        for (int k = 0; k < n; ++k)
+            std::memcpy(kept + there[k] * kBlock, of_few + k * kLanes, kLanes * sizeof(float));
+    }
+    for (int l = 0; l < kLanes && !(together && sorted == 0); ++l) {
+        if (together && own[l] <= kPairedTerms) continue;
+        find_terms<1>(p, count, begin + l, there, own + l);
         if (own[l] > kPairedTerms) {
-            find_terms<1>(p, count, begin + l, there, own + l);
-            sum_of_many(rules, p + begin + l, there, own[l], scratch, sum0 + l, sum1 + l);
-        } else if (!together) {
-            float all0[kLanes], all1[kLanes];
-            find_terms<1>(p, count, begin + l, there, own + l);
-            rivals_scaled_sum(rules, p, there, own[l], begin, scratch, neighbors, all0, all1);
-            sum0[l] = all0[l];
-            sum1[l] = all1[l];
+            for (int k = 0; together && k < count; ++k) kept[k * kBlock + l] = 1;
+            keep_of_many(rules, p + begin + l, there, own[l], scratch, kept + l);
+        } else {
+            keep_beside_rivals(rules, p, there, own[l], begin, scratch, neighbors, of_few);
+            for (int k = 0; k < own[l]; ++k) kept[there[k] * kBlock + l] = of_few[k * kLanes + l];
         }
     }
+    // Where a term is not finite, all is kept.
+    float unknown[kLanes] = {};
+    for (int k = 0; k < count; ++k) {
+        ConstRow x = p + int64_t(k) * 2 * kBlock + begin, y = x + kBlock;
+        for (int l = 0; l < kLanes; ++l) unknown[l] += x[l] * 0 + y[l] * 0;
+    }
+    int any = 0;
+    for (int l = 0; l < kLanes; ++l) any |= unknown[l] != 0;
+    for (int k = 0; any && k < count; ++k)
+        for (int l = 0; l < kLanes; ++l) kept[k * kBlock + l] = unknown[l] == 0 ? kept[k * kBlock + l] : 1.0f;
 }
 
-// Reduces p (count, 2, kBlock) to its first term's place; `scratch` holds `reducing_floats`.
-HPCOMP_INLINE void reduce_terms(const Rules &rules, float *p, int count, int n, float *scratch) {
-    const auto x = [&](int k) { return p + int64_t(k) * 2 * kBlock; };
-    const auto y = [&](int k) { return p + int64_t(k) * 2 * kBlock + kBlock; };
-    switch (rules.order) {
-    case Order::kBalanced:
+// The pairs in which terms are added one by one, in their sequence: the right one to the left one, where
+// the sum is then. Each term is a right one once, but for the one in which all ends, which is returned.
+template <class Visit>
+HPCOMP_INLINE int visit_pairs(const Rules &rules, int count, bool backwards, Visit visit) {
+    if (rules.order == Order::kBalanced) {
         // Neighbours pair level by level; an odd one is carried up.
-        for (int step = 1; step < count; step *= 2)
-            for (int k = 0; k + step < count; k += 2 * step)
-                add(rules, n, x(k), y(k), x(k + step), y(k + step));
-        break;
-    case Order::kSimultaneous:
-        for (int begin = 0; begin < n; begin += kLanes) {
-            float sum0[kLanes], sum1[kLanes];
-            sum_at_once(rules, p, count, begin, scratch, sum0, sum1);
-            std::memcpy(x(0) + begin, sum0, sizeof sum0);
-            std::memcpy(y(0) + begin, sum1, sizeof sum1);
-        }
-        break;
-    default: {
-        Plane sum0, sum1;
-        std::memcpy(sum0, x(rules.permutation[0]), sizeof sum0);
-        std::memcpy(sum1, y(rules.permutation[0]), sizeof sum1);
-        for (int k = 1; k < count; ++k)
-            add(rules, n, sum0, sum1, x(rules.permutation[k]), y(rules.permutation[k]));
-        std::memcpy(x(0), sum0, sizeof sum0);
-        std::memcpy(y(0), sum1, sizeof sum1);
+        int step = 1;
+        while (backwards && step < count) step *= 2;
+        for (; backwards ? step >= 1 : step < count; step = backwards ? step / 2 : step * 2)
+            for (int k = 0; k + step < count; k += 2 * step) visit(k, k + step);
+        return 0;
     }
-    }
+    const int last = count - 1;
+    for (int turn = 1; turn < count; ++turn)
+        visit(rules.permutation[0], rules.permutation[backwards ? last + 1 - turn : turn]);
+    return rules.permutation[0];
 }
 
-// The weights of the terms of a stack, and their sum of luminances. Of each layer come the factors
-// F_A and F_B (count, kBlock), which are overwritten, its luminance and p.
-HPCOMP_INLINE void weigh(int count, int n, float *f_a, const float *f_b, float *luminance, float *p,
-                         float *sum) {
+// Reduces weighted p (count, 2, kBlock) to its first term's place, and tells in `kept` (count, kBlock) what
+// is kept of each term; `kept` also is scratch, as are `of_left` (count, kBlock) and `scratch`, which holds
+// `reducing_floats`.
+HPCOMP_INLINE void reduce_terms(const Rules &rules, float *p, int count, int n, float *kept, float *of_left,
+                                float *scratch) {
+    const auto x = [p](int k) { return p + int64_t(k) * 2 * kBlock; };
+    if (rules.order == Order::kSimultaneous) {
+        for (int begin = 0; begin < n; begin += kLanes) {
+            keep_at_once(rules, p, count, begin, scratch, kept);
+            float sum0[kLanes] = {}, sum1[kLanes] = {};
+            for (int k = 0; k < count; ++k) {
+                const float *p0 = x(k) + begin, *factor = kept + int64_t(k) * kBlock + begin;
+                for (int l = 0; l < kLanes; ++l) sum0[l] += factor[l] * p0[l];
+                for (int l = 0; l < kLanes; ++l) sum1[l] += factor[l] * p0[kBlock + l];
+            }
+            std::memcpy(x(0) + begin, sum0, sizeof sum0);
+            std::memcpy(x(0) + kBlock + begin, sum1, sizeof sum1);
+        }
+        return;
+    }
+    const int root = visit_pairs(rules, count, false, [&](int left, int right) {
+        Row a = of_left + int64_t(right) * kBlock, b = kept + int64_t(right) * kBlock;
+        Row p0 = x(left), p1 = x(left) + kBlock;
+        ConstRow q0 = x(right), q1 = x(right) + kBlock;
+        keep(rules, n, p0, p1, q0, q1, false, a, b);
+        for (int i = 0; i < n; ++i) {
+            p0[i] = a[i] * p0[i] + b[i] * q0[i];
+            p1[i] = a[i] * p1[i] + b[i] * q1[i];
+        }
+    });
+    for (int i = 0; i < n; ++i) kept[int64_t(root) * kBlock + i] = 1;
+    visit_pairs(rules, count, true, [&](int left, int right) {
+        Row of_sum = kept + int64_t(left) * kBlock, b = kept + int64_t(right) * kBlock;
+        ConstRow a = of_left + int64_t(right) * kBlock;
+        for (int i = 0; i < n; ++i) {
+            b[i] *= of_sum[i];
+            of_sum[i] *= a[i];
+        }
+    });
+    if (root != 0) std::memcpy(x(0), x(root), 2 * sizeof(Plane));
+}
+
+// The weights of the terms of a stack. Of each layer come the factors F_A and F_B (count, kBlock); F_A
+// becomes its weight, which p (count, 2, kBlock) takes.
+HPCOMP_INLINE void weigh(int count, int n, float *f_a, const float *f_b, float *p) {
     // w_i = F_A,i times the F_B of the layers above, gathered from the top.
     Plane above;
     for (int i = 0; i < n; ++i) above[i] = 1;
     for (int k = count - 1; k >= 0; --k) {
-        float *a = f_a + k * kBlock;
-        const float *b = f_b + k * kBlock;
-        float *p0 = p + int64_t(k) * 2 * kBlock, *p1 = p0 + kBlock;
+        Row weight = f_a + int64_t(k) * kBlock, p0 = p + int64_t(k) * 2 * kBlock, p1 = p0 + kBlock;
+        ConstRow b = f_b + int64_t(k) * kBlock;
         for (int i = 0; i < n; ++i) {
-            const float weight = a[i] * above[i];
+            weight[i] *= above[i];
             above[i] *= b[i];
-            luminance[k * kBlock + i] *= weight;
-            p0[i] *= weight;
-            p1[i] *= weight;
+            p0[i] *= weight[i];
+            p1[i] *= weight[i];
         }
     }
-    for (int i = 0; i < n; ++i) sum[i] = 0;
-    for (int k = 0; k < count; ++k)
-        for (int i = 0; i < n; ++i) sum[i] += luminance[k * kBlock + i];  // [R1]
 }
 
 // What layer `k` and those below it do to each other's weights, and to the alpha so far.

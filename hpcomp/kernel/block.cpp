@@ -19,50 +19,55 @@ HPCOMP_INLINE void bound(int n, const float *f_a, const float *f_b, const float 
     }
 }
 
-HPCOMP_INLINE void under_all(const Rules &rules, int n, ConstRow luminance, ConstRow p0, ConstRow p1,
-                             ConstRow alpha, const float *lo, const float *hi, const State &at) {
-    Row transmittance = at.transmittance, sum = at.luminance, alpha_sum = at.alpha;
-    Plane q0, q1;
+HPCOMP_INLINE void copy(int n, const Light &from, const Light &to) {
+    const float *const sources[6] = {from.luminance, from.p0, from.p1, from.red, from.green, from.blue};
+    float *const targets[6] = {to.luminance, to.p0, to.p1, to.red, to.green, to.blue};
+    for (int plane = 0; plane < 6; ++plane) std::memcpy(targets[plane], sources[plane], n * sizeof(float));
+}
+
+HPCOMP_INLINE void under_all(const Rules &rules, int n, const Light &term, ConstRow alpha, const float *lo,
+                             const float *hi, const State &at) {
+    Plane whole;
+    Row transmittance = at.transmittance, alpha_sum = at.alpha;
     if (rules.maps != Maps::kLinear) {
         for (int i = 0; i < n; ++i) {
             at.lo[i] += transmittance[i] * lo[i];
             at.hi[i] += transmittance[i] * hi[i];
         }
     }
+    for (int i = 0; i < n; ++i) whole[i] = 1;
+    add(rules, n, at.light, whole, term, transmittance, true);
     for (int i = 0; i < n; ++i) {
-        const float weight = transmittance[i];
-        sum[i] += weight * luminance[i];  // [R1]
-        q0[i] = weight * p0[i];
-        q1[i] = weight * p1[i];
-        alpha_sum[i] = at_most_one(alpha_sum[i] + weight * alpha[i]);
+        alpha_sum[i] = at_most_one(alpha_sum[i] + transmittance[i] * alpha[i]);
         transmittance[i] *= 1 - alpha[i];
     }
-    add(rules, n, at.p0, at.p1, q0, q1, true);
 }
 
-HPCOMP_INLINE void above_all(const Rules &rules, const Layer &layer, int n, ConstRow luminance,
-                             ConstRow p0, ConstRow p1, ConstRow alpha, const float *lo, const float *hi,
-                             const State &at) {
-    Plane f_a, f_b, q0, q1;
-    Row sum = at.luminance, alpha_sum = at.alpha, below0 = at.p0, below1 = at.p1;
+HPCOMP_INLINE void above_all(const Rules &rules, const Layer &layer, int n, const Light &term,
+                             ConstRow alpha, const float *lo, const float *hi, const State &at) {
+    Plane f_a, f_b;
+    Row alpha_sum = at.alpha;
     factor(layer.factor_a, at.alpha, n, f_a);
     factor(layer.factor_b, alpha, n, f_b);
     if (rules.maps != Maps::kLinear) bound(n, f_a, f_b, lo, hi, at);
-    for (int i = 0; i < n; ++i) {
-        sum[i] = f_a[i] * luminance[i] + f_b[i] * sum[i];  // [R1]
-        alpha_sum[i] = at_most_one(f_a[i] * alpha[i] + f_b[i] * alpha_sum[i]);
-        below0[i] *= f_b[i];
-        below1[i] *= f_b[i];
-        q0[i] = f_a[i] * p0[i];
-        q1[i] = f_a[i] * p1[i];
-    }
-    add(rules, n, at.p0, at.p1, q0, q1, layer.behind);  // Eq. 2 with (+)
+    for (int i = 0; i < n; ++i) alpha_sum[i] = at_most_one(f_a[i] * alpha[i] + f_b[i] * alpha_sum[i]);
+    add(rules, n, at.light, f_b, term, f_a, layer.behind);  // Eq. 2 with (+)
+}
+
+HPCOMP_INLINE Light light_at(const Light &light, int64_t pixel) {
+    return {light.luminance + pixel, light.p0 + pixel, light.p1 + pixel,
+            light.red + pixel, light.green + pixel, light.blue + pixel};
 }
 
 HPCOMP_INLINE State state_at(const State &state, int64_t pixel) {
-    return {state.luminance + pixel, state.p0 + pixel, state.p1 + pixel, state.alpha + pixel,
+    return {light_at(state.light, pixel), state.alpha + pixel,
             state.transmittance ? state.transmittance + pixel : nullptr,
             state.lo ? state.lo + pixel : nullptr, state.hi ? state.hi + pixel : nullptr};
+}
+
+HPCOMP_INLINE void show(const Observer &observer, int number, int n, const Light &term, const float *alpha) {
+    observer.term(observer.self, number, n, term.red, term.green, term.blue, alpha, term.luminance, term.p0,
+                  term.p1);
 }
 
 void add_layers(const Rules &rules, const Layer *layers, const int *numbers, int count, int width,
@@ -72,25 +77,22 @@ void add_layers(const Rules &rules, const Layer *layers, const int *numbers, int
             const int n = width - x < kBlock ? width - x : kBlock;
             const State at = state_at(state, int64_t(y) * width + x);
             for (int k = 0; k < count; ++k) {
-                Plane red, green, blue, luminance, p0, p1, alpha, lo, hi;
-                nonfinite[k] += load_term(rules, layers[k], x, y, n, red, green, blue, luminance, p0,
-                                          p1, alpha, lo, hi);
-                if (observer)
-                    observer->term(observer->self, numbers[k], n, red, green, blue, alpha, luminance,
-                                   p0, p1);
+                LightPlanes planes;
+                Plane alpha, lo, hi;
+                const Light term = planes.light();
+                nonfinite[k] += load_term(rules, layers[k], x, y, n, term, alpha, lo, hi);
+                if (observer) show(*observer, numbers[k], n, term, alpha);
                 if (rules.order == Order::kFrontToBack) {
-                    under_all(rules, n, luminance, p0, p1, alpha, lo, hi, at);
+                    under_all(rules, n, term, alpha, lo, hi, at);
                 } else if (numbers[k] == 0) {
-                    std::memcpy(at.luminance, luminance, n * sizeof(float));
-                    std::memcpy(at.p0, p0, n * sizeof(float));
-                    std::memcpy(at.p1, p1, n * sizeof(float));
+                    copy(n, term, at.light);
                     std::memcpy(at.alpha, alpha, n * sizeof(float));
                     if (rules.maps != Maps::kLinear) {
                         std::memcpy(at.lo, lo, n * sizeof(float));
                         std::memcpy(at.hi, hi, n * sizeof(float));
                     }
                 } else {
-                    above_all(rules, layers[k], n, luminance, p0, p1, alpha, lo, hi, at);
+                    above_all(rules, layers[k], n, term, alpha, lo, hi, at);
                 }
             }
             if (observer) observer->block(observer->self, x, y, n);
@@ -100,26 +102,56 @@ void add_layers(const Rules &rules, const Layer *layers, const int *numbers, int
 
 // --- reductions of all layers --------------------------------------------------------------------
 
+// The sum of weighted terms, of which `kept` is kept: planes (count, kBlock).
+HPCOMP_INLINE void sum_terms(const Rules &rules, int count, int n, const float *weight, const float *kept,
+                             const Light &terms, const Light &to) {
+    const bool linear = rules.maps == Maps::kLinear;
+    for (int begin = 0; begin < n; begin += kLanes) {
+        float luminance[kLanes] = {}, red[kLanes] = {}, green[kLanes] = {}, blue[kLanes] = {}, grey[kLanes] = {};
+        for (int k = 0; k < count; ++k) {
+            const int64_t at = int64_t(k) * kBlock + begin;
+            ConstRow w = weight + at, share = kept + at, y = terms.luminance + at;
+            ConstRow r = terms.red + at, g = terms.green + at, b = terms.blue + at;
+            for (int l = 0; l < kLanes; ++l) {
+                const float light = w[l] * y[l], factor = linear ? w[l] * share[l] : w[l];
+                luminance[l] += light;  // [R1]
+                grey[l] += light - factor * y[l];
+                red[l] += factor * r[l];
+                green[l] += factor * g[l];
+                blue[l] += factor * b[l];
+            }
+        }
+        const int lanes = n - begin < kLanes ? n - begin : kLanes;
+        for (int l = 0; l < lanes; ++l) {
+            to.luminance[begin + l] = luminance[l];
+            to.red[begin + l] = red[l] + grey[l];
+            to.green[begin + l] = green[l] + grey[l];
+            to.blue[begin + l] = blue[l] + grey[l];
+        }
+    }
+}
+
 // `scratch` holds `scratch_floats` of them.
 void reduce_layers(const Rules &rules, const Layer *layers, int count, int width, int height,
                    const State &state, float *scratch, int64_t *nonfinite, const Observer *observer) {
-    float *p = scratch;                                  // (count, 2, kBlock)
-    float *luminance = p + int64_t(count) * 2 * kBlock;  // (count, kBlock), then the factors:
-    float *f_a = luminance + int64_t(count) * kBlock, *f_b = f_a + int64_t(count) * kBlock;
+    const int64_t planes = int64_t(count) * kBlock;
+    float *p = scratch;  // (count, 2, kBlock), then the others (count, kBlock):
+    const Light terms{p + 2 * planes, nullptr, nullptr, p + 3 * planes, p + 4 * planes, p + 5 * planes};
+    float *f_a = p + 6 * planes, *f_b = p + 7 * planes, *kept = p + 8 * planes;
     for (int y = 0; y < height; ++y) {
         for (int x = 0; x < width; x += kBlock) {
             const int n = width - x < kBlock ? width - x : kBlock;
             const State at = state_at(state, int64_t(y) * width + x);
+            // Lanes beyond the row take part in the reduction, and must be harmless.
+            if (n < kBlock) std::memset(scratch, 0, size_t(9 * planes) * sizeof(float));
             for (int k = 0; k < count; ++k) {
-                Plane red, green, blue, alpha, lo, hi;
-                float *p0 = p + int64_t(k) * 2 * kBlock, *of = luminance + k * kBlock;
-                float *layer_a = f_a + k * kBlock, *layer_b = f_b + k * kBlock;
-                // Lanes beyond the row take part in the reduction, and must be harmless.
-                std::memset(p0, 0, 2 * sizeof(Plane));
-                nonfinite[k] += load_term(rules, layers[k], x, y, n, red, green, blue, of, p0,
-                                          p0 + kBlock, alpha, lo, hi);
-                if (observer)
-                    observer->term(observer->self, k, n, red, green, blue, alpha, of, p0, p0 + kBlock);
+                Plane alpha, lo, hi;
+                const int64_t of = int64_t(k) * kBlock;
+                const Light term{terms.luminance + of, p + 2 * of, p + 2 * of + kBlock, terms.red + of,
+                                 terms.green + of, terms.blue + of};
+                float *layer_a = f_a + of, *layer_b = f_b + of;
+                nonfinite[k] += load_term(rules, layers[k], x, y, n, term, alpha, lo, hi);
+                if (observer) show(*observer, k, n, term, alpha);
                 factors(layers[k], k, n, alpha, layer_a, layer_b, at.alpha);
                 if (rules.maps == Maps::kLinear) continue;
                 if (k == 0) {
@@ -129,10 +161,11 @@ void reduce_layers(const Rules &rules, const Layer *layers, int count, int width
                 }
                 bound(n, layer_a, layer_b, lo, hi, at);
             }
-            weigh(count, n, f_a, f_b, luminance, p, at.luminance);
-            reduce_terms(rules, p, count, n, scratch + term_floats(count));
-            std::memcpy(at.p0, p, n * sizeof(float));
-            std::memcpy(at.p1, p + kBlock, n * sizeof(float));
+            weigh(count, n, f_a, f_b, p);
+            reduce_terms(rules, p, count, n, kept, f_b, scratch + term_floats(count));
+            std::memcpy(at.light.p0, p, n * sizeof(float));
+            std::memcpy(at.light.p1, p + kBlock, n * sizeof(float));
+            sum_terms(rules, count, n, f_a, kept, terms, at.light);
             if (observer) observer->block(observer->self, x, y, n);
         }
     }
@@ -141,7 +174,7 @@ void reduce_layers(const Rules &rules, const Layer *layers, int count, int width
 // --- planes to samples ---------------------------------------------------------------------------
 
 // The same luminance and hue with every channel in [0, 1]: chroma shrinks, white and black are ends.
-void into_gamut(const double *weights, float *rgb) {
+void straight_into_gamut(const double *weights, float *rgb) {
     double luminance = weights[0] * rgb[0] + weights[1] * rgb[1] + weights[2] * rgb[2];
     luminance = luminance != luminance ? 1 : luminance < 0 ? 0 : luminance > 1 ? 1 : luminance;
     double fits = 1;
@@ -154,6 +187,37 @@ void into_gamut(const double *weights, float *rgb) {
     }
     for (int c = 0; c < 3; ++c)
         rgb[c] = float(fits == 0 ? luminance : luminance + fits * (rgb[c] - luminance));
+}
+
+// Some of the colours of a block, by the way back of the space of the codes.
+void into_gamut(const Output &out, const int *indices, int count, float *red, float *green, float *blue) {
+    const bool straight = out.space.maps == Maps::kLinear || out.space.maps == Maps::kHsl;
+    LightPlanes planes;
+    Plane lo, hi;
+    int known = 0;
+    int of_known[kBlock];
+    for (int k = 0; k < count; ++k) {
+        const int i = indices[k];
+        const double luminance = out.weights[0] * red[i] + out.weights[1] * green[i] + out.weights[2] * blue[i];
+        if (straight || !(luminance > 0 && luminance < 1)) {
+            float rgb[3] = {red[i], green[i], blue[i]};
+            straight_into_gamut(out.weights, rgb);
+            red[i] = rgb[0], green[i] = rgb[1], blue[i] = rgb[2];
+            continue;
+        }
+        planes.red[known] = red[i], planes.green[known] = green[i], planes.blue[known] = blue[i];
+        planes.luminance[known] = float(luminance);
+        of_known[known++] = i;
+    }
+    if (known == 0) return;
+    to_p(out.space, known, planes.red, planes.green, planes.blue, planes.luminance, planes.p0, planes.p1);
+    for (int k = 0; k < known; ++k) lo[k] = 0, hi[k] = 1;
+    bring_within(out.space, known, planes.luminance, planes.p0, planes.p1, lo, hi, planes.red, planes.green,
+                 planes.blue);
+    for (int k = 0; k < known; ++k) {
+        const int i = of_known[k];
+        red[i] = planes.red[k], green[i] = planes.green[k], blue[i] = planes.blue[k];
+    }
 }
 
 HPCOMP_INLINE uint32_t code_of(const Output &out, float linear) {
@@ -197,14 +261,13 @@ HPCOMP_INLINE void store_codes(int n, float *red, float *green, float *blue,
     losses->light_without_alpha += lost;
     losses->out_of_gamut += outside;
     if (outside) {
+        int indices[kBlock], count = 0;
         for (int i = 0; i < n; ++i) {
-            float rgb[3] = {red[i], green[i], blue[i]};
-            bool out_of_gamut = false;
-            for (const float v : rgb) out_of_gamut |= v < out.lowest || v > out.highest;
-            if (!out_of_gamut) continue;
-            into_gamut(out.weights, rgb);
-            red[i] = rgb[0], green[i] = rgb[1], blue[i] = rgb[2];
+            const float least = smallest_of(red[i], green[i], blue[i]);
+            const float most = largest_of(red[i], green[i], blue[i]);
+            if (least < out.lowest || most > out.highest) indices[count++] = i;
         }
+        into_gamut(out, indices, count, red, green, blue);
     }
     for (int i = 0; i < n; ++i) {
         to[4 * i] = Code(code_of(out, red[i]));
@@ -221,46 +284,56 @@ HPCOMP_INLINE bool beyond_half(float v) {
     return size > kLargestHalf && size < float_of(0x7f800000u);
 }
 
-HPCOMP_INLINE float in_half_range(float v) {
-    return beyond_half(v) ? (v < 0 ? -kLargestHalf : kLargestHalf) : v;
+// A colour beyond what a half holds becomes darker: all channels are scaled alike, so that its hue stays.
+// What is infinite stays so.
+HPCOMP_INLINE void into_half_range(float *red, float *green, float *blue) {
+    float *const channels[3] = {red, green, blue};
+    float size = kLargestHalf;
+    for (const float *v : channels) size = beyond_half(*v) ? larger(magnitude(*v), size) : size;
+    const float factor = kLargestHalf / size;
+    for (float *v : channels) *v *= factor;
+}
+
+// The stack over its background: its light, its alpha and what bounds it.
+HPCOMP_INLINE void put_on_background(const Rules &rules, int n, const Light &stack, Row alpha, Row lo, Row hi) {
+    if (!rules.has_background) return;
+    LightPlanes planes;
+    Plane whole, uncovered;
+    for (int i = 0; i < n; ++i) whole[i] = 1, uncovered[i] = 1 - alpha[i];
+    if (rules.maps != Maps::kLinear) {
+        for (int i = 0; i < n; ++i) {
+            lo[i] += uncovered[i] * rules.background_bounds[0];
+            hi[i] += uncovered[i] * rules.background_bounds[1];
+        }
+    }
+    for (int i = 0; i < n; ++i) {
+        planes.luminance[i] = rules.background_luminance;
+        planes.p0[i] = rules.background_p[0];
+        planes.p1[i] = rules.background_p[1];
+        planes.red[i] = rules.background_rgb[0];
+        planes.green[i] = rules.background_rgb[1];
+        planes.blue[i] = rules.background_rgb[2];
+        alpha[i] = 1;
+    }
+    add(rules, n, stack, whole, planes.light(), uncovered, true);
 }
 
 void finish(const Rules &rules, int64_t pixels, const State &state, const Output &out, Losses *losses) {
     for (int64_t begin = 0; begin < pixels; begin += kBlock) {
         const int n = pixels - begin < kBlock ? int(pixels - begin) : kBlock;
         const State at = state_at(state, begin);
-        Plane luminance, p0, p1, alpha, red, green, blue, lo, hi;
-        for (int i = 0; i < n; ++i) {
-            luminance[i] = at.luminance[i];
-            p0[i] = at.p0[i];
-            p1[i] = at.p1[i];
-            alpha[i] = at.alpha[i];
-        }
+        LightPlanes planes;
+        const Light light = planes.light();
+        Plane alpha, lo, hi;
+        copy(n, at.light, light);
+        std::memcpy(alpha, at.alpha, n * sizeof(float));
         if (rules.maps != Maps::kLinear) {
-            const float below = rules.background_bounds[0], above = rules.background_bounds[1];
-            for (int i = 0; i < n; ++i) {
-                const float uncovered = rules.has_background ? 1 - alpha[i] : 0.0f;
-                lo[i] = at.lo[i] + uncovered * below;
-                hi[i] = at.hi[i] + uncovered * above;
-            }
+            std::memcpy(lo, at.lo, n * sizeof(float));
+            std::memcpy(hi, at.hi, n * sizeof(float));
         }
-        if (rules.has_background) {
-            Plane q0, q1;
-            for (int i = 0; i < n; ++i) {
-                const float uncovered = 1 - alpha[i];
-                luminance[i] += uncovered * rules.background_luminance;
-                q0[i] = uncovered * rules.background_p[0];
-                q1[i] = uncovered * rules.background_p[1];
-                alpha[i] = 1;
-            }
-            add(rules, n, p0, p1, q0, q1, true);
-        }
-        if (rules.maps != Maps::kLinear) {
-            from_p(rules, n, luminance, p0, p1, lo, hi, red, green, blue);
-        } else {
-            for (int i = 0; i < n; ++i)
-                linear_from_p(rules, luminance[i], p0[i], p1[i], &red[i], &green[i], &blue[i]);
-        }
+        put_on_background(rules, n, light, alpha, lo, hi);
+        if (rules.maps != Maps::kLinear) to_color(rules, n, light, lo, hi);
+        float *const red = planes.red, *const green = planes.green, *const blue = planes.blue;
         if (rules.gain != 1) {
             for (int i = 0; i < n; ++i) {
                 red[i] *= rules.gain;
@@ -283,9 +356,13 @@ void finish(const Rules &rules, int64_t pixels, const State &state, const Output
             int beyond = 0;
             for (int i = 0; i < n; ++i) {
                 beyond += beyond_half(red[i]) | beyond_half(green[i]) | beyond_half(blue[i]);
-                to[4 * i] = to_half(in_half_range(red[i]));
-                to[4 * i + 1] = to_half(in_half_range(green[i]));
-                to[4 * i + 2] = to_half(in_half_range(blue[i]));
+            }
+            if (beyond)
+                for (int i = 0; i < n; ++i) into_half_range(&red[i], &green[i], &blue[i]);
+            for (int i = 0; i < n; ++i) {
+                to[4 * i] = to_half(red[i]);
+                to[4 * i + 1] = to_half(green[i]);
+                to[4 * i + 2] = to_half(blue[i]);
                 to[4 * i + 3] = to_half(alpha[i]);
             }
             losses->beyond_half += beyond;

@@ -26,10 +26,11 @@ constexpr int kPairedTerms = 32, kTabledTerms = 64;
 // So that what follows is aligned as doubles are.
 constexpr int64_t rounded_up(int64_t floats) { return (floats + 1) / 2 * 2; }
 
-// Scratch of a reduction of `n` layers, in floats: p, luminance and factors of each term; at once also
-// the numbers of those with chroma, and the tables of pairs or what sorted terms take. The pairs have
-// their shoulders and supports, four rows of each term, and as ints its neighbors and their number.
-constexpr int64_t term_floats(int64_t n) { return n * 5 * kBlock; }
+// Scratch of a reduction of `n` layers, in floats: the six planes of each term, its factors and what is
+// kept of it; at once also the numbers of those with chroma, and the tables of pairs or what sorted terms
+// take. The pairs have their shoulders and supports, four rows of each term, and as ints its neighbors
+// and their number.
+constexpr int64_t term_floats(int64_t n) { return n * 9 * kBlock; }
 constexpr int64_t tabled(int64_t n) { return n < kTabledTerms ? n : kTabledTerms; }
 constexpr int64_t number_floats(int64_t n) { return rounded_up(n + (tabled(n) + 1) * tabled(n)); }
 constexpr int64_t pair_floats(int64_t n) { return (2 * tabled(n) + 4) * tabled(n) * kLanes; }
@@ -64,6 +65,7 @@ struct SpaceMaps {
     float from_p[3][2];      // what p adds to each channel
     OklabNumbers oklab;
     CielabNumbers cielab;
+    float slack_lo, slack_hi;            // of the gamut, in luminances: see `gamut.py`
 };
 
 // One layer's strip: rows of interleaved samples and what they mean.
@@ -75,7 +77,7 @@ struct Layer {
     int alpha_straight;     // colours are to be multiplied by alpha
     const float *decode;    // linear light of each code; integers only
     int has_matrix;
-    float matrix[9];        // to the working primaries, by rows
+    float matrix[3][2];     // to the working primaries: of red and blue less green, beside green
     int left, top, width, height;  // its rectangle in the strip
     float opacity;
     Factor factor_a, factor_b;
@@ -92,15 +94,22 @@ struct Rules : SpaceMaps {
     const int *permutation;  // of the layers, for kPermutation
     int layers;
     int has_background;
-    float background_luminance, background_p[2];
+    float background_luminance, background_p[2], background_rgb[3];
     float background_bounds[2];
     float gain;              // 2 to the exposure
 };
 
-// Planes of the strip so far: luminance, p, alpha, the transmittance in front, and where the maps
-// are not linear what bounds the channels of the result; null where they are not needed.
+// Planes of a colour, or of a sum of such. Where the maps are linear red, green and blue are the colour;
+// else they are the plain sum of the colours that went in, which is the colour where (+) did nothing else.
+struct Light {
+    float *luminance, *p0, *p1, *red, *green, *blue;
+};
+
+// Planes of the strip so far: its light, its alpha, the transmittance in front, and where the maps are
+// not linear what bounds the channels of the result; null where they are not needed.
 struct State {
-    float *luminance, *p0, *p1, *alpha, *transmittance, *lo, *hi;
+    Light light;
+    float *alpha, *transmittance, *lo, *hi;
 };
 
 // How linear light becomes the codes of integer samples.
@@ -111,8 +120,9 @@ struct Codes {
     float smallest;             // a power of two below the first threshold: where buckets begin
     float lowest, darkest, highest;  // half a code value outside and above black
     int has_matrix;
-    float matrix[9];            // from the working primaries to those of the codes, by rows
+    float matrix[3][2];         // from the working primaries to those of the codes, as in `Layer`
     double weights[3];          // luminance of these
+    SpaceMaps space;            // for these: that whose hue codes keep
 };
 
 // Where a result goes: one of four kinds of sample, RGBA interleaved. Floats have no codes.

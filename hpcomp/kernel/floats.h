@@ -16,6 +16,13 @@ using Plane = float[kBlock];
 using Row = float *__restrict__;
 using ConstRow = const float *__restrict__;
 
+// A light of a block with planes of its own.
+struct LightPlanes {
+    Plane luminance, p0, p1, red, green, blue;
+
+    Light light() { return {luminance, p0, p1, red, green, blue}; }
+};
+
 HPCOMP_INLINE uint32_t bits_of(float value) {
     uint32_t bits;
     std::memcpy(&bits, &value, sizeof bits);
@@ -36,6 +43,7 @@ HPCOMP_INLINE float larger(float a, float b) { return a > b ? a : b; }
 HPCOMP_INLINE double larger(double a, double b) { return a > b ? a : b; }
 // NaN stays NaN.
 HPCOMP_INLINE float at_most_one(float x) { return x > 1 ? 1.0f : x; }
+HPCOMP_INLINE bool is_finite(float a, float b, float c, float d) { return (a * 0 + b * 0) + (c * 0 + d * 0) == 0; }
 HPCOMP_INLINE float clamped(float x) { return x < 0 ? 0.0f : at_most_one(x); }
 
 // The power of two that brings the largest of four numbers near 1, and its inverse: squares of tiny

@@ -20,11 +20,12 @@ from ..blending.addition import ROUNDING_ANGLE
 from ..blending.orders import ORDERS
 from ..blending.porter_duff import Factor
 from ..blending.rules import Reduction, StackRules
+from ..color import spaces
 from ..color.gamut import bounds_of
-from ..color.primaries import REC709, Primaries, conversion, to_xyz
+from ..color.primaries import REC709, Primaries, conversion_pairs, to_xyz
 from ..color.quantization import Losses
 from ..color.samples import OUTPUT_TYPES, PLAIN, Decoding, Samples, Strip, cropped, linear_rgba
-from ..color.spaces import Coefficients, HslCoefficients, PlaneCoefficients
+from ..color.spaces import HslCoefficients, PlaneCoefficients, Space
 from ..color.transfer import SRGB, decode_table
 from ..color.uniformspaces import CielabCoefficients, OklabCoefficients
 from ..errors import unknown_name
@@ -153,7 +154,7 @@ class Accumulator:
     ) -> Samples:
         """`measures`: a `_kernel.Measures` to add to; all layers have been added at once."""
         out = np.empty(self.shape, OUTPUT_TYPES[kind])
-        codes = _codes(out.dtype, self.rules.primaries, gamut)
+        codes = _codes(out.dtype, self.rules.primaries, gamut, self.rules.space.name)
         lost, nonfinite = self._strip.result(out=out, codes=codes, measures=measures)
         losses.add(
             Losses(
@@ -193,7 +194,7 @@ def layer_of(
         samples=samples,
         decode=_table(samples, decoding),
         alpha_straight=decoding.alpha_mode == "straight",
-        matrix=_matrix(decoding.encoding.primaries, decoding.working),
+        matrix=conversion_pairs(decoding.encoding.primaries, decoding.working),
         left=strip.left,
         top=strip.top,
         opacity=rules.opacities[number],
@@ -222,7 +223,7 @@ def rules_of(rules: StackRules) -> _kernel.Rules:
         layers=n,
         background=_background(rules),
         gain=2.0**rules.exposure,
-        space=_maps(rules.blending_space.coefficients),
+        space=_maps(rules.blending_space),
     )
 
 
@@ -238,17 +239,21 @@ def _background(rules: StackRules) -> _kernel.Background | None:
     space, color = rules.blending_space, np.array(rules.background, np.float32)[:, None]
     luminance, p = space.forward(color)
     lo, hi = (0.0, 0.0) if space.linear else bounds_of(space, color, 1.0)[:, 0].tolist()
-    return _kernel.background(luminance=float(luminance[0]), p=p[:, 0].tolist(), lo=lo, hi=hi)
+    return _kernel.background(
+        luminance=float(luminance[0]), p=p[:, 0].tolist(), rgb=color[:, 0].tolist(), lo=lo, hi=hi
+    )
 
 
-def _maps(coefficients: Coefficients) -> _kernel.SpaceMaps:
+def _maps(space: Space) -> _kernel.SpaceMaps:
     """The maps of a space."""
+    coefficients = space.coefficients
     match coefficients:
         case PlaneCoefficients():
             return _kernel.linear_maps(**_plane(coefficients))
         case HslCoefficients(plane=plane):
             return _kernel.hsl_maps(**_plane(plane))
     weight_red, weight_blue = coefficients.weights
+    slack_lo, slack_hi = space.gamut_slack
     match coefficients:
         case OklabCoefficients():
             return _kernel.oklab_maps(
@@ -259,6 +264,8 @@ def _maps(coefficients: Coefficients) -> _kernel.SpaceMaps:
                 to_roots=coefficients.to_roots,
                 from_lms=coefficients.from_lms,
                 inverse_largest=1 / coefficients.largest,
+                slack_lo=slack_lo,
+                slack_hi=slack_hi,
             )
         case CielabCoefficients():
             return _kernel.cielab_maps(
@@ -267,6 +274,8 @@ def _maps(coefficients: Coefficients) -> _kernel.SpaceMaps:
                 to_xz=coefficients.to_xz,
                 from_xz=coefficients.from_xz,
                 inverse_largest=1 / coefficients.largest,
+                slack_lo=slack_lo,
+                slack_hi=slack_hi,
             )
 
 
@@ -286,27 +295,28 @@ def _table(samples: Samples, decoding: Decoding) -> NDArray[np.float32] | None:
     return decode_table(decoding.encoding.transfer, int(np.iinfo(samples.dtype).max))
 
 
-@cache
-def _matrix(source: Primaries, target: Primaries) -> list[float] | None:
-    matrix = conversion(source, target)
-    return None if matrix is None else [float(value) for value in matrix.ravel()]
-
-
 #: Buckets an octave of linear light: so many that hardly one holds two thresholds.
 _BUCKET_BITS = {8: 7, 16: 12}
 
 
 @cache
 def _codes(
-    dtype: np.dtype[Any], working: Primaries = REC709, gamut: Primaries = REC709
+    dtype: np.dtype[Any],
+    working: Primaries = REC709,
+    gamut: Primaries = REC709,
+    space_name: str = spaces.DEFAULT_SPACE,
 ) -> _kernel.Codes | None:
-    """How linear light of the working primaries becomes codes of that gamut; None for floats."""
+    """How linear light of the working primaries becomes codes of that gamut; None for floats.
+
+    `space_name`: of the space whose hues they keep.
+    """
     if dtype.kind != "u":
         return None
     return _kernel.codes(
         **code_tables(dtype),
-        matrix=_matrix(working, gamut),
+        matrix=conversion_pairs(working, gamut),
         luminance_weights=list(to_xyz(gamut)[1]),
+        space=_maps(spaces.space(space_name, to_xyz(gamut))),
     )
 
 

@@ -71,13 +71,13 @@ HPCOMP_INLINE void unpack_any(const Layer &layer, int64_t pixel, const char *row
     }
 }
 
-// Colours of `n` pixels in other primaries, by the rows of a matrix.
-HPCOMP_INLINE void convert(const float *m, int n, float *red, float *green, float *blue) {
+// Colours of `n` pixels in other primaries. White becomes white, so equal channels stay equal.
+HPCOMP_INLINE void convert(const float (&m)[3][2], int n, float *red, float *green, float *blue) {
     for (int i = 0; i < n; ++i) {
-        const float r = red[i], g = green[i], b = blue[i];
-        red[i] = m[0] * r + m[1] * g + m[2] * b;
-        green[i] = m[3] * r + m[4] * g + m[5] * b;
-        blue[i] = m[6] * r + m[7] * g + m[8] * b;
+        const float g = green[i], red_green = red[i] - g, blue_green = blue[i] - g;
+        red[i] = sum_of(g, m[0], red_green, blue_green);
+        green[i] = sum_of(g, m[1], red_green, blue_green);
+        blue[i] = sum_of(g, m[2], red_green, blue_green);
     }
 }
 
@@ -157,17 +157,16 @@ HPCOMP_INLINE void to_terms(const Rules &rules, int n, const float *red, const f
     }
 }
 
-// A block of a layer, and as a term: luminance, p and alpha, and where the maps are not linear what
-// bounds its channels. Returns as `load` does.
-HPCOMP_INLINE int64_t load_term(const Rules &rules, const Layer &layer, int x, int y, int n, float *red,
-                                float *green, float *blue, float *luminance, float *p0, float *p1,
+// A block of a layer as a term and its alpha, and where the maps are not linear what bounds its channels.
+// Returns as `load` does.
+HPCOMP_INLINE int64_t load_term(const Rules &rules, const Layer &layer, int x, int y, int n, const Light &to,
                                 float *alpha, float *lo, float *hi) {
-    const int64_t nonfinite = load(layer, x, y, n, red, green, blue, alpha);
-    to_terms(rules, n, red, green, blue, luminance, p0, p1);
+    const int64_t nonfinite = load(layer, x, y, n, to.red, to.green, to.blue, alpha);
+    to_terms(rules, n, to.red, to.green, to.blue, to.luminance, to.p0, to.p1);
     if (rules.maps != Maps::kLinear) {
         for (int i = 0; i < n; ++i) {
-            lo[i] = smaller(smallest_of(red[i], green[i], blue[i]), 0.0f);
-            hi[i] = larger(largest_of(red[i], green[i], blue[i]), alpha[i]);
+            lo[i] = smaller(smallest_of(to.red[i], to.green[i], to.blue[i]), 0.0f);
+            hi[i] = larger(largest_of(to.red[i], to.green[i], to.blue[i]), alpha[i]);
         }
     }
     return nonfinite;

@@ -5,7 +5,6 @@
 #include "manyterms.h"
 
 #include <algorithm>
-#include <limits>
 #include <tuple>
 
 #include "addition.h"
@@ -19,7 +18,7 @@ constexpr double kAngleMargin = 1e-12;
 
 struct Term {
     double hue, m;  // radians in (-pi, pi]; |p|
-    float x, y;
+    int64_t number;
 };
 
 struct Window {
@@ -78,18 +77,18 @@ double shoulder(const Rules &rules, double angle) {
     return 1 - t * t * (3 - 2 * t);
 }
 
-// Terms sorted by hue, then by all else; false where one is NaN or infinite.
+// Terms sorted by hue, then by length; false where one is NaN or infinite.
 bool sort_terms(const float *p, const int *there, const HueCircle &circle) {
     bool finite = true;
     for (int k = 0; k < circle.n; ++k) {
         const float *of = p + int64_t(there[k]) * 2 * kBlock;
         const double x = double(of[0]), y = double(of[kBlock]), angle = angle_of(magnitude(y), x);
-        circle.terms[k] = {y < 0 ? -angle : angle, __builtin_sqrt(x * x + y * y), of[0], of[kBlock]};
+        circle.terms[k] = {y < 0 ? -angle : angle, __builtin_sqrt(x * x + y * y), there[k]};
         finite &= circle.terms[k].m - circle.terms[k].m == 0;
     }
     if (!finite) return false;
     std::sort(circle.terms, circle.terms + circle.n, [](const Term &a, const Term &b) {
-        return std::tie(a.hue, a.m, a.x, a.y) < std::tie(b.hue, b.m, b.x, b.y);
+        return std::tie(a.hue, a.m) < std::tie(b.hue, b.m);
     });
     return true;
 }
@@ -219,13 +218,10 @@ double cancelled_near(const Rules &rules, const HueCircle &circle, const Backing
 
 }  // namespace
 
-void sum_of_many(const Rules &rules, const float *p, const int *there, int n, float *scratch,
-                  float *sum0, float *sum1) {
+void keep_of_many(const Rules &rules, const float *p, const int *there, int n, float *scratch,
+                  float *kept) {
     const HueCircle circle(rules, n, reinterpret_cast<double *>(scratch));
-    if (!sort_terms(p, there, circle)) {
-        *sum0 = *sum1 = std::numeric_limits<float>::quiet_NaN();
-        return;
-    }
+    if (!sort_terms(p, there, circle)) return;
     put_around_circle(circle);
     find_supports(rules, circle);
     find_holds(circle);
@@ -234,7 +230,6 @@ void sum_of_many(const Rules &rules, const float *p, const int *there, int n, fl
 
     Sliding equal{circle, circle.equal}, sharing{circle, smaller(2 * circle.end, kPi)};
     Backing backing(circle);
-    double total0 = 0, total1 = 0;
     for (int i = 0; i < n; ++i) {
         const Term &term = circle.terms[i];
         const Window same = equal.to(term.hue), near = sharing.to(term.hue);
@@ -245,11 +240,8 @@ void sum_of_many(const Rules &rules, const float *p, const int *there, int n, fl
             backing.fill(rules, circle, i);
             part = larger(part, cancelled_near(rules, circle, backing, i, near, same));
         }
-        total0 += (1 - part) * double(term.x);
-        total1 += (1 - part) * double(term.y);
+        kept[term.number * kBlock] = float(1 - part);
     }
-    *sum0 = float(total0);
-    *sum1 = float(total1);
 }
 
 }  // namespace hpcomp

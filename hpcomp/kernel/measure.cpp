@@ -225,7 +225,8 @@ void reduce(const Block &block, float *scratch, float *p0, float *p1) {
     const int count = block.layers;
     float *p = scratch;
     std::memcpy(p, block.p, size_t(count) * 2 * sizeof(Plane));
-    reduce_terms(block.rules, p, count, block.n, scratch + int64_t(count) * 2 * kBlock);
+    float *kept = p + int64_t(count) * 2 * kBlock, *of_left = kept + int64_t(count) * kBlock;
+    reduce_terms(block.rules, p, count, block.n, kept, of_left, of_left + int64_t(count) * kBlock);
     std::memcpy(p0, p, sizeof(Plane));
     std::memcpy(p1, p + kBlock, sizeof(Plane));
     if (block.actives && block.active[block.actives - 1] == count)
@@ -371,7 +372,14 @@ void observe_block(void *self, int column, int row, int n) {
     for (int k = 0; k < count; ++k)
         factors(of.layers[k], k, n, scratch.alpha + k * kBlock, scratch.f_a + k * kBlock,
                 scratch.f_b + k * kBlock, alpha);
-    weigh(count, n, scratch.f_a, scratch.f_b, luminance, p, sum);
+    weigh(count, n, scratch.f_a, scratch.f_b, p);
+    for (int i = 0; i < n; ++i) sum[i] = 0;
+    for (int k = 0; k < count; ++k) {
+        for (int i = 0; i < n; ++i) {
+            luminance[k * kBlock + i] *= scratch.f_a[k * kBlock + i];
+            sum[i] += luminance[k * kBlock + i];  // [R1]
+        }
+    }
     if (rules.has_background) {
         float *below = p + int64_t(count) * 2 * kBlock, *light = luminance + count * kBlock;
         for (int i = 0; i < n; ++i) {

@@ -41,6 +41,13 @@ int checked_coordinate(int64_t value) {
     return int(value);
 }
 
+// Rows of two coefficients.
+template <size_t kRows> using Pairs = std::array<std::array<float, 2>, kRows>;
+
+template <size_t kRows> void copy(const Pairs<kRows> &from, float (&to)[kRows][2]) {
+    for (size_t row = 0; row < kRows; ++row) std::copy(from[row].begin(), from[row].end(), to[row]);
+}
+
 using AnyArray = nb::ndarray<nb::ro, nb::device::cpu>;
 using Table = nb::ndarray<const float, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
 using FirstCodes = nb::ndarray<const uint16_t, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
@@ -61,7 +68,7 @@ struct StripLayer {
 };
 
 StripLayer make_layer(AnyArray samples, std::optional<Table> decode, bool alpha_straight,
-                      std::optional<std::array<float, 9>> matrix, int64_t left, int64_t top,
+                      const std::optional<Pairs<3>> &matrix, int64_t left, int64_t top,
                       float opacity, Factor factor_a, Factor factor_b, bool behind, bool zero_nonfinite) {
     StripLayer made;
     Layer &layer = made.layer;
@@ -88,7 +95,7 @@ StripLayer make_layer(AnyArray samples, std::optional<Table> decode, bool alpha_
     layer.channels = int(channels);
     layer.alpha_straight = alpha_straight;
     layer.has_matrix = matrix.has_value();
-    if (matrix) std::copy(matrix->begin(), matrix->end(), layer.matrix);
+    if (matrix) copy(*matrix, layer.matrix);
     layer.left = checked_coordinate(left);
     layer.top = checked_coordinate(top);
     layer.width = checked_coordinate(width);
@@ -101,13 +108,6 @@ StripLayer make_layer(AnyArray samples, std::optional<Table> decode, bool alpha_
     layer.zero_nonfinite = zero_nonfinite;
     made.samples = std::move(samples);
     return made;
-}
-
-// Rows of two coefficients.
-template <size_t kRows> using Pairs = std::array<std::array<float, 2>, kRows>;
-
-template <size_t kRows> void copy(const Pairs<kRows> &from, float (&to)[kRows][2]) {
-    for (size_t row = 0; row < kRows; ++row) std::copy(from[row].begin(), from[row].end(), to[row]);
 }
 
 SpaceMaps make_plane(Maps maps, float weight_red, float weight_blue, const Pairs<2> &to_p,
@@ -127,13 +127,21 @@ SpaceMaps make_hsl(float weight_red, float weight_blue, const Pairs<2> &to_p, co
     return make_plane(Maps::kHsl, weight_red, weight_blue, to_p, from_p);
 }
 
+// Where curves of one hue go out of gamut and come back, p is scaled to so far outside it.
+SpaceMaps with_slack(SpaceMaps made, float slack_lo, float slack_hi) {
+    if (!(slack_lo >= 0 && slack_hi >= 0)) throw nb::value_error("the slack of a gamut is not negative");
+    made.slack_lo = slack_lo, made.slack_hi = slack_hi;
+    return made;
+}
+
 float checked_bound(float inverse_largest) {
     if (!(inverse_largest > 0)) throw nb::value_error("the bound of |p|/Y must be positive");
     return inverse_largest;
 }
 
 SpaceMaps make_oklab(float weight_red, float weight_blue, const Pairs<3> &to_lms, const Pairs<3> &to_lab,
-                     const Pairs<3> &to_roots, const Pairs<3> &from_lms, float inverse_largest) {
+                     const Pairs<3> &to_roots, const Pairs<3> &from_lms, float inverse_largest,
+                     float slack_lo, float slack_hi) {
     SpaceMaps made{};
     made.maps = Maps::kOklab, made.weight_red = weight_red, made.weight_blue = weight_blue;
     copy(to_lms, made.oklab.to_lms);
@@ -141,26 +149,27 @@ SpaceMaps make_oklab(float weight_red, float weight_blue, const Pairs<3> &to_lms
     copy(to_roots, made.oklab.to_roots);
     copy(from_lms, made.oklab.from_lms);
     made.oklab.inverse_largest = checked_bound(inverse_largest);
-    return made;
+    return with_slack(made, slack_lo, slack_hi);
 }
 
 SpaceMaps make_cielab(float weight_red, float weight_blue, const Pairs<2> &to_xz, const Pairs<3> &from_xz,
-                      float inverse_largest) {
+                      float inverse_largest, float slack_lo, float slack_hi) {
     SpaceMaps made{};
     made.maps = Maps::kCielab, made.weight_red = weight_red, made.weight_blue = weight_blue;
     copy(to_xz, made.cielab.to_xz);
     copy(from_xz, made.cielab.from_xz);
     made.cielab.inverse_largest = checked_bound(inverse_largest);
-    return made;
+    return with_slack(made, slack_lo, slack_hi);
 }
 
 // A colour that lies below the stack, and what bounds its channels.
 struct Background {
-    float luminance, p[2], bounds[2];
+    float luminance, p[2], rgb[3], bounds[2];
 };
 
-Background make_background(float luminance, std::array<float, 2> p, float lo, float hi) {
-    return {luminance, {p[0], p[1]}, {lo, hi}};
+Background make_background(float luminance, std::array<float, 2> p, std::array<float, 3> rgb, float lo,
+                           float hi) {
+    return {luminance, {p[0], p[1]}, {rgb[0], rgb[1], rgb[2]}, {lo, hi}};
 }
 
 // Rules with the permutation that they point to.
@@ -193,10 +202,10 @@ std::shared_ptr<StackRules> make_rules(Blending blending, float hue_tolerance, f
     static_cast<SpaceMaps &>(rules) = space;
     rules.blending = blending;
     rules.gray_power = 3 * gray_bias;
-    // Without a tolerance the switch is hard, at what float rounding turns a vector by.
-    rules.tolerance = hue_tolerance > 0 ? hue_tolerance : rounding_angle;
-    rules.inverse_tolerance = hue_tolerance > 0 ? 1 / hue_tolerance : 0;
-    const float end = hue_tolerance > 0 ? std::min(2 * hue_tolerance, 3.14159265f) : rules.tolerance;
+    // No tolerance is below what float rounding turns a vector by, and without one the switch is hard.
+    rules.tolerance = std::max(hue_tolerance, rounding_angle);
+    rules.inverse_tolerance = hue_tolerance > 0 ? 1 / rules.tolerance : 0;
+    const float end = hue_tolerance > 0 ? std::min(2 * rules.tolerance, 3.14159265f) : rules.tolerance;
     rules.end_sine = std::sin(end);
     rules.end_cosine = std::cos(end);
     rules.order = order;
@@ -206,6 +215,7 @@ std::shared_ptr<StackRules> make_rules(Blending blending, float hue_tolerance, f
     if (background) {
         rules.background_luminance = background->luminance;
         std::copy(std::begin(background->p), std::end(background->p), rules.background_p);
+        std::copy(std::begin(background->rgb), std::end(background->rgb), rules.background_rgb);
         std::copy(std::begin(background->bounds), std::end(background->bounds), rules.background_bounds);
     }
     rules.gain = gain;
@@ -221,8 +231,8 @@ struct CodeTables {
 
 std::shared_ptr<CodeTables> make_codes(Table thresholds, FirstCodes first_code, int bucket_bits,
                                        float smallest, float lowest, float darkest, float highest,
-                                       std::optional<std::array<float, 9>> matrix,
-                                       std::array<double, 3> luminance_weights) {
+                                       const std::optional<Pairs<3>> &matrix,
+                                       std::array<double, 3> luminance_weights, const SpaceMaps &space) {
     auto made = std::make_shared<CodeTables>();
     const size_t count = thresholds.shape(0);
     if (count != 256 && count != 65536)
@@ -255,8 +265,9 @@ std::shared_ptr<CodeTables> make_codes(Table thresholds, FirstCodes first_code, 
     codes.darkest = darkest;
     codes.highest = highest;
     codes.has_matrix = matrix.has_value();
-    if (matrix) std::copy(matrix->begin(), matrix->end(), codes.matrix);
+    if (matrix) copy(*matrix, codes.matrix);
     std::copy(luminance_weights.begin(), luminance_weights.end(), codes.weights);
+    codes.space = space;
     return made;
 }
 
@@ -491,15 +502,19 @@ class Accumulator {
         const int64_t pixels = rows * width_;
         const bool front = rules_->rules.order == Order::kFrontToBack;
         const bool bounded = rules_->rules.maps != Maps::kLinear;
-        const int count = 4 + (front ? 1 : 0) + (bounded ? 2 : 0);
+        const int count = 7 + (front ? 1 : 0) + (bounded ? 2 : 0);
         if (planes_.empty()) planes_.resize(size_t(pixels) * size_t(count));
-        float *plane = planes_.data(), *last = plane + count * pixels;
-        state_ = {plane, plane + pixels, plane + 2 * pixels, plane + 3 * pixels,
-                  front ? plane + 4 * pixels : nullptr, bounded ? last - 2 * pixels : nullptr,
-                  bounded ? last - pixels : nullptr};
+        float *const first = planes_.data(), *const last = first + count * pixels, *plane = first;
+        const auto next = [&plane, pixels] { return (plane += pixels) - pixels; };
+        // Braces take them in this order.
+        state_.light = Light{next(), next(), next(), next(), next(), next()};
+        state_.alpha = next();
+        state_.transmittance = front ? next() : nullptr;
+        state_.lo = bounded ? next() : nullptr;
+        state_.hi = bounded ? next() : nullptr;
         if (!front) return;
-        std::fill(plane, last, 0.0f);
-        std::fill(plane + 4 * pixels, plane + 5 * pixels, 1.0f);
+        std::fill(first, last, 0.0f);
+        std::fill(state_.transmittance, state_.transmittance + pixels, 1.0f);
     }
 
     // All layers, from samples to samples in bands whose planes stay in cache. Without an output the
@@ -608,11 +623,12 @@ NB_MODULE(_kernel, module) {
     module.def("hsl_maps", &make_hsl, nb::kw_only(), "weight_red"_a, "weight_blue"_a, "to_p"_a,
                "from_p"_a);
     module.def("oklab_maps", &make_oklab, nb::kw_only(), "weight_red"_a, "weight_blue"_a, "to_lms"_a,
-               "to_lab"_a, "to_roots"_a, "from_lms"_a, "inverse_largest"_a);
+               "to_lab"_a, "to_roots"_a, "from_lms"_a, "inverse_largest"_a, "slack_lo"_a, "slack_hi"_a);
     module.def("cielab_maps", &make_cielab, nb::kw_only(), "weight_red"_a, "weight_blue"_a, "to_xz"_a,
-               "from_xz"_a, "inverse_largest"_a);
+               "from_xz"_a, "inverse_largest"_a, "slack_lo"_a, "slack_hi"_a);
     nb::class_<Background>(module, "Background");
-    module.def("background", &make_background, nb::kw_only(), "luminance"_a, "p"_a, "lo"_a, "hi"_a);
+    module.def("background", &make_background, nb::kw_only(), "luminance"_a, "p"_a, "rgb"_a, "lo"_a,
+               "hi"_a);
     nb::class_<StackRules>(module, "Rules");
     module.def("rules", &make_rules, nb::kw_only(), "blending"_a.noconvert(), "hue_tolerance"_a,
                "rounding_angle"_a, "gray_bias"_a, "order"_a.noconvert(), "permutation"_a, "layers"_a,
@@ -621,7 +637,7 @@ NB_MODULE(_kernel, module) {
     nb::class_<CodeTables>(module, "Codes");
     module.def("codes", &make_codes, nb::kw_only(), "thresholds"_a.noconvert(), "first_code"_a.noconvert(),
                "bucket_bits"_a, "smallest"_a, "lowest"_a, "darkest"_a, "highest"_a, "matrix"_a.none(),
-               "luminance_weights"_a);
+               "luminance_weights"_a, "space"_a);
     nb::class_<Losses>(module, "Losses")
         .def_ro("out_of_gamut", &Losses::out_of_gamut)
         .def_ro("light_without_alpha", &Losses::light_without_alpha)

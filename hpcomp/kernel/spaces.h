@@ -40,12 +40,12 @@ HPCOMP_INLINE float smallest_of(float a, float b, float c) { return smaller(smal
 
 // --- colours to p --------------------------------------------------------------------------------
 
-HPCOMP_INLINE void to_hsl(const Rules &rules, int n, const float *red, const float *green,
+HPCOMP_INLINE void to_hsl(const SpaceMaps &space, int n, const float *red, const float *green,
                           const float *blue, float *p0, float *p1) {
     for (int i = 0; i < n; ++i) {
         const float red_green = red[i] - green[i], blue_green = blue[i] - green[i];
-        const Scaled p = scaled(red_green * rules.to_p[0][0] + blue_green * rules.to_p[0][1],
-                                red_green * rules.to_p[1][0] + blue_green * rules.to_p[1][1]);
+        const Scaled p = scaled(red_green * space.to_p[0][0] + blue_green * space.to_p[0][1],
+                                red_green * space.to_p[1][0] + blue_green * space.to_p[1][1]);
         const float spread =
             largest_of(red[i], green[i], blue[i]) - smallest_of(red[i], green[i], blue[i]);
         const float size = p.length > 0 ? spread / p.length : 0.0f;
@@ -54,9 +54,9 @@ HPCOMP_INLINE void to_hsl(const Rules &rules, int n, const float *red, const flo
     }
 }
 
-HPCOMP_INLINE void to_oklab(const Rules &rules, int n, const float *red, const float *green,
+HPCOMP_INLINE void to_oklab(const SpaceMaps &space, int n, const float *red, const float *green,
                             const float *blue, const float *luminance, float *p0, float *p1) {
-    const OklabNumbers &numbers = rules.oklab;
+    const OklabNumbers &numbers = space.oklab;
     for (int i = 0; i < n; ++i) {
         const float red_green = red[i] - green[i], blue_green = blue[i] - green[i];
         const float middle = cube_root(sum_of(green[i], numbers.to_lms[1], red_green, blue_green));
@@ -86,9 +86,9 @@ HPCOMP_INLINE float root_less_one(float share) {
     return held > kLabCube ? root : kLabSlope * held + (kLabStart - 1);
 }
 
-HPCOMP_INLINE void to_cielab(const Rules &rules, int n, const float *red, const float *green,
+HPCOMP_INLINE void to_cielab(const SpaceMaps &space, int n, const float *red, const float *green,
                              const float *blue, const float *luminance, float *p0, float *p1) {
-    const CielabNumbers &numbers = rules.cielab;
+    const CielabNumbers &numbers = space.cielab;
     for (int i = 0; i < n; ++i) {
         const float red_green = red[i] - green[i], blue_green = blue[i] - green[i];
         const float x = sum_of(green[i], numbers.to_xz[0], red_green, blue_green);
@@ -103,12 +103,12 @@ HPCOMP_INLINE void to_cielab(const Rules &rules, int n, const float *red, const 
 }
 
 // p of colours of known luminance, in a space whose maps are not linear.
-HPCOMP_INLINE void to_p(const Rules &rules, int n, const float *red, const float *green,
+HPCOMP_INLINE void to_p(const SpaceMaps &space, int n, const float *red, const float *green,
                         const float *blue, const float *luminance, float *p0, float *p1) {
-    switch (rules.maps) {
-    case Maps::kHsl: to_hsl(rules, n, red, green, blue, p0, p1); break;
-    case Maps::kOklab: to_oklab(rules, n, red, green, blue, luminance, p0, p1); break;
-    case Maps::kCielab: to_cielab(rules, n, red, green, blue, luminance, p0, p1); break;
+    switch (space.maps) {
+    case Maps::kHsl: to_hsl(space, n, red, green, blue, p0, p1); break;
+    case Maps::kOklab: to_oklab(space, n, red, green, blue, luminance, p0, p1); break;
+    case Maps::kCielab: to_cielab(space, n, red, green, blue, luminance, p0, p1); break;
     case Maps::kLinear: break;
     }
 }
@@ -116,20 +116,20 @@ HPCOMP_INLINE void to_p(const Rules &rules, int n, const float *red, const float
 // --- p to colours --------------------------------------------------------------------------------
 
 // The colour of a luminance and p, in a space whose maps are linear.
-HPCOMP_INLINE void linear_from_p(const Rules &rules, float luminance, float p0, float p1, float *red,
+HPCOMP_INLINE void linear_from_p(const SpaceMaps &space, float luminance, float p0, float p1, float *red,
                                  float *green, float *blue) {
-    *red = p0 * rules.from_p[0][0] + p1 * rules.from_p[0][1] + luminance;
-    *green = p0 * rules.from_p[1][0] + p1 * rules.from_p[1][1] + luminance;
-    *blue = p0 * rules.from_p[2][0] + p1 * rules.from_p[2][1] + luminance;
+    *red = p0 * space.from_p[0][0] + p1 * space.from_p[0][1] + luminance;
+    *green = p0 * space.from_p[1][0] + p1 * space.from_p[1][1] + luminance;
+    *blue = p0 * space.from_p[2][0] + p1 * space.from_p[2][1] + luminance;
 }
 
-HPCOMP_INLINE void from_hsl(const Rules &rules, int n, const float *luminance, const float *p0,
+HPCOMP_INLINE void from_hsl(const SpaceMaps &space, int n, const float *luminance, const float *p0,
                             const float *p1, float *red, float *green, float *blue) {
     for (int i = 0; i < n; ++i) {
         const Scaled p = scaled(p0[i], p1[i]);
-        const float r = p.x * rules.from_p[0][0] + p.y * rules.from_p[0][1];
-        const float g = p.x * rules.from_p[1][0] + p.y * rules.from_p[1][1];
-        const float b = p.x * rules.from_p[2][0] + p.y * rules.from_p[2][1];
+        const float r = p.x * space.from_p[0][0] + p.y * space.from_p[0][1];
+        const float g = p.x * space.from_p[1][0] + p.y * space.from_p[1][1];
+        const float b = p.x * space.from_p[2][0] + p.y * space.from_p[2][1];
         const float spread = largest_of(r, g, b) - smallest_of(r, g, b);
         const float size = spread > 0 ? p.length / spread : 0.0f;
         red[i] = luminance[i] + r * size * p.up;
@@ -147,69 +147,166 @@ HPCOMP_INLINE void chromaticity(float luminance, float p0, float p1, float inver
     *q1 = luminance > 0 ? p1 / whole : 0.0f;
 }
 
-HPCOMP_INLINE void from_oklab(const Rules &rules, int n, const float *luminance, const float *p0,
-                              const float *p1, float *red, float *green, float *blue) {
-    const OklabNumbers &numbers = rules.oklab;
-    for (int i = 0; i < n; ++i) {
-        float q0, q1;
-        chromaticity(luminance[i], p0[i], p1[i], numbers.inverse_largest, &q0, &q1);
+HPCOMP_INLINE float luminance_of(const SpaceMaps &space, float r, float g, float b) {
+    return g + space.weight_red * (r - g) + space.weight_blue * (b - g);
+}
+
+// Spaces in which colours of one hue and luminance lie on a curve in RGB, as the loops take them: `color`
+// gives a colour of the chromaticity q = p/Y, of whatever luminance, which it returns.
+struct Oklab {
+    HPCOMP_INLINE float color(const SpaceMaps &space, float q0, float q1, float *r, float *g, float *b) {
+        const OklabNumbers &numbers = space.oklab;
         const float l = sum_of(1, numbers.to_roots[0], q0, q1), m = sum_of(1, numbers.to_roots[1], q0, q1);
         const float s = sum_of(1, numbers.to_roots[2], q0, q1);
         const float middle = m * m * m, lng = l * l * l - middle, shrt = s * s * s - middle;
-        const float r = sum_of(middle, numbers.from_lms[0], lng, shrt);
-        const float g = sum_of(middle, numbers.from_lms[1], lng, shrt);
-        const float b = sum_of(middle, numbers.from_lms[2], lng, shrt);
-        const float size =
-            luminance[i] / (g + rules.weight_red * (r - g) + rules.weight_blue * (b - g));
+        *r = sum_of(middle, numbers.from_lms[0], lng, shrt);
+        *g = sum_of(middle, numbers.from_lms[1], lng, shrt);
+        *b = sum_of(middle, numbers.from_lms[2], lng, shrt);
+        return luminance_of(space, *r, *g, *b);
+    }
+    HPCOMP_INLINE float inverse_largest(const SpaceMaps &space) { return space.oklab.inverse_largest; }
+};
+
+struct Cielab {
+    HPCOMP_INLINE float share_less_one(float root) {
+        return (root > kLabRoot ? root * root * root : (root - kLabStart) / kLabSlope) - 1;
+    }
+    HPCOMP_INLINE float color(const SpaceMaps &space, float q0, float q1, float *r, float *g, float *b) {
+        const CielabNumbers &numbers = space.cielab;
+        const float x = share_less_one(1 + q0 * 0.2f), z = share_less_one(1 - q1 * 0.5f);
+        *r = sum_of(1, numbers.from_xz[0], x, z);
+        *g = sum_of(1, numbers.from_xz[1], x, z);
+        *b = sum_of(1, numbers.from_xz[2], x, z);
+        return 1;
+    }
+    HPCOMP_INLINE float inverse_largest(const SpaceMaps &space) { return space.cielab.inverse_largest; }
+};
+
+template <class Space>
+HPCOMP_INLINE void from_curve(const SpaceMaps &space, int n, const float *luminance, const float *p0,
+                              const float *p1, float *red, float *green, float *blue) {
+    for (int i = 0; i < n; ++i) {
+        float q0, q1, r, g, b;
+        chromaticity(luminance[i], p0[i], p1[i], Space::inverse_largest(space), &q0, &q1);
+        const float size = luminance[i] / Space::color(space, q0, q1, &r, &g, &b);
         red[i] = r * size;
         green[i] = g * size;
         blue[i] = b * size;
     }
 }
 
-HPCOMP_INLINE float share_less_one(float root) {
-    return (root > kLabRoot ? root * root * root : (root - kLabStart) / kLabSlope) - 1;
-}
+// --- back into gamut -----------------------------------------------------------------------------
 
-HPCOMP_INLINE void from_cielab(const Rules &rules, int n, const float *luminance, const float *p0,
-                               const float *p1, float *red, float *green, float *blue) {
-    const CielabNumbers &numbers = rules.cielab;
+// How often the interval that holds t is halved before a secant finds it: t is good to 1e-7.
+constexpr int kHalvings = 10;
+
+// Scales p of those of `n` colours that are beyond [lo, hi] and the slack of the space by the largest t that
+// brings them there: hue and luminance stay.
+template <class Space>
+HPCOMP_INLINE void scale_p(const SpaceMaps &space, int n, const float *luminance, const float *p0,
+                           const float *p1, const float *lo, const float *hi, float *red, float *green,
+                           float *blue) {
+    int outside[kBlock], count = 0;
     for (int i = 0; i < n; ++i) {
-        float q0, q1;
-        chromaticity(luminance[i], p0[i], p1[i], numbers.inverse_largest, &q0, &q1);
-        const float x = share_less_one(1 + q0 * 0.2f), z = share_less_one(1 - q1 * 0.5f);
-        red[i] = sum_of(1, numbers.from_xz[0], x, z) * luminance[i];
-        green[i] = sum_of(1, numbers.from_xz[1], x, z) * luminance[i];
-        blue[i] = sum_of(1, numbers.from_xz[2], x, z) * luminance[i];
+        const float most = largest_of(red[i], green[i], blue[i]);
+        const float least = smallest_of(red[i], green[i], blue[i]);
+        outside[count] = i;
+        count += (luminance[i] > 0) & ((most > hi[i] + space.slack_hi * luminance[i]) |
+                                           (least < lo[i] - space.slack_lo * luminance[i]));
+    }
+    if (count == 0) return;
+    // At luminance 1.
+    Plane q0, q1, below, above, near, far, excess_near, excess_far, t;
+    for (int k = 0; k < count; ++k) {
+        const int i = outside[k];
+        chromaticity(luminance[i], p0[i], p1[i], Space::inverse_largest(space), &q0[k], &q1[k]);
+        below[k] = lo[i] / luminance[i] - space.slack_lo;
+        above[k] = hi[i] / luminance[i] + space.slack_hi;
+    }
+    // How far the colour of t*q is outside; below 0 inside.
+    const auto excess = [&](int k, float share) {
+        float r, g, b;
+        const float y = Space::color(space, share * q0[k], share * q1[k], &r, &g, &b);
+        return larger(largest_of(r, g, b) - above[k] * y, below[k] * y - smallest_of(r, g, b)) / y;
+    };
+    for (int k = 0; k < count; ++k) {
+        near[k] = 0, far[k] = 1;
+        excess_near[k] = excess(k, 0), excess_far[k] = excess(k, 1);
+    }
+    for (int halving = 0; halving < kHalvings; ++halving) {
+        for (int k = 0; k < count; ++k) {
+            const float middle = (near[k] + far[k]) * 0.5f, of_middle = excess(k, middle);
+            const bool inside = of_middle <= 0;
+            near[k] = inside ? middle : near[k];
+            far[k] = inside ? far[k] : middle;
+            excess_near[k] = inside ? of_middle : excess_near[k];
+            excess_far[k] = inside ? excess_far[k] : of_middle;
+        }
+    }
+    for (int k = 0; k < count; ++k) {
+        const float across = excess_near[k] - excess_far[k];
+        const float share = across < 0 ? clamped(excess_near[k] / across) : 0.0f;
+        t[k] = near[k] + (far[k] - near[k]) * share;
+    }
+    for (int k = 0; k < count; ++k) {
+        const int i = outside[k];
+        float r, g, b;
+        const float size = luminance[i] / Space::color(space, t[k] * q0[k], t[k] * q1[k], &r, &g, &b);
+        red[i] = r * size;
+        green[i] = g * size;
+        blue[i] = b * size;
     }
 }
 
-// Colours beyond [lo, hi] go straight towards the grey of their luminance, as far as needed.
-HPCOMP_INLINE void bring_within(int n, const float *luminance, const float *lo, const float *hi, float *red,
-                          float *green, float *blue) {
+// Colours of luminance and p that are beyond [lo, hi] come within it.
+HPCOMP_INLINE void bring_within(const SpaceMaps &space, int n, const float *luminance, const float *p0,
+                                const float *p1, const float *lo, const float *hi, float *red,
+                                float *green, float *blue) {
+    if (space.maps == Maps::kOklab) scale_p<Oklab>(space, n, luminance, p0, p1, lo, hi, red, green, blue);
+    if (space.maps == Maps::kCielab) scale_p<Cielab>(space, n, luminance, p0, p1, lo, hi, red, green, blue);
     for (int i = 0; i < n; ++i) {
         const float y = luminance[i], above = larger(hi[i] - y, 0.0f), below = larger(y - lo[i], 0.0f);
         const float most = largest_of(red[i], green[i], blue[i]) - y;
         const float least = y - smallest_of(red[i], green[i], blue[i]);
         const float down = most > above ? above / most : 1.0f;
         const float t = smaller(down, least > below ? below / least : 1.0f);
-        red[i] = t < 1 ? y + t * (red[i] - y) : red[i];
-        green[i] = t < 1 ? y + t * (green[i] - y) : green[i];
-        blue[i] = t < 1 ? y + t * (blue[i] - y) : blue[i];
+        // What rounding leaves beyond them goes too, and so does -0.
+        const auto inside = [=](float v) {
+            return larger(smaller(t < 1 ? y + t * (v - y) : v, hi[i]), lo[i]) + 0.0f;
+        };
+        red[i] = inside(red[i]);
+        green[i] = inside(green[i]);
+        blue[i] = inside(blue[i]);
     }
 }
 
-// Colours of luminance and p within [lo, hi], in a space whose maps are not linear.
-HPCOMP_INLINE void from_p(const Rules &rules, int n, const float *luminance, const float *p0,
-                          const float *p1, const float *lo, const float *hi, float *red, float *green,
-                          float *blue) {
-    switch (rules.maps) {
-    case Maps::kHsl: from_hsl(rules, n, luminance, p0, p1, red, green, blue); break;
-    case Maps::kOklab: from_oklab(rules, n, luminance, p0, p1, red, green, blue); break;
-    case Maps::kCielab: from_cielab(rules, n, luminance, p0, p1, red, green, blue); break;
-    case Maps::kLinear: break;
+// How far p of a sum may be from p of the plain sum that it is, in luminances.
+constexpr float kSameP = 1.2e-6f;
+
+// The colours of a reduced stack within [lo, hi], in a space whose maps are not linear: red, green and
+// blue come as the plain sum, and stay it where (+) did nothing else or where p is not finite.
+HPCOMP_INLINE void to_color(const SpaceMaps &space, int n, const Light &light, const float *lo,
+                            const float *hi) {
+    Plane red, green, blue, p0, p1;
+    const float *luminance = light.luminance;
+    switch (space.maps) {
+    case Maps::kHsl: from_hsl(space, n, luminance, light.p0, light.p1, red, green, blue); break;
+    case Maps::kOklab: from_curve<Oklab>(space, n, luminance, light.p0, light.p1, red, green, blue); break;
+    case Maps::kCielab: from_curve<Cielab>(space, n, luminance, light.p0, light.p1, red, green, blue); break;
+    case Maps::kLinear: return;
     }
-    bring_within(n, luminance, lo, hi, red, green, blue);
+    bring_within(space, n, luminance, light.p0, light.p1, lo, hi, red, green, blue);
+    Plane of_plain;
+    for (int i = 0; i < n; ++i) of_plain[i] = luminance_of(space, light.red[i], light.green[i], light.blue[i]);
+    to_p(space, n, light.red, light.green, light.blue, of_plain, p0, p1);
+    for (int i = 0; i < n; ++i) {
+        const float difference = larger(magnitude(p0[i] - light.p0[i]), magnitude(p1[i] - light.p1[i]));
+        const float longest = larger(magnitude(light.p0[i]), magnitude(light.p1[i]));
+        const bool blended = difference > kSameP * (magnitude(luminance[i]) + longest);
+        light.red[i] = blended ? red[i] : light.red[i];
+        light.green[i] = blended ? green[i] : light.green[i];
+        light.blue[i] = blended ? blue[i] : light.blue[i];
+    }
 }
 
 }  // namespace

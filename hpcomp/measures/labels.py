@@ -17,7 +17,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from ..blending.addition import ROUNDING_ANGLE, sum_traditional
+from ..blending.addition import ROUNDING_ANGLE
 from ..blending.orders import ORDERS
 from ..blending.rules import StackRules
 from ..blending.terms import weighted
@@ -316,16 +316,17 @@ class Contributors:
         p = row.reduce(self.p[: self.n_layers], rules.add, rules.add_all)
         if self.n_layers < len(self.p):
             p = rules.add(p, self.p[-1])
-        if self.bounds is None or rules.space.linear:
+        if self.bounds is None or self.rgb is None:
             return p
         # What came of it, back in gamut.
-        rgb = colors_within(rules.space, summed(self.luminance), p, self.bounds)
+        luminance, plain = summed(self.luminance), summed(self.rgb)
+        rgb = colors_within(rules.space, luminance, p, plain, self.bounds)
         return rules.space.forward(rgb)[1]
 
     def plain(self, rules: StackRules) -> Array:
         """The chroma p (2, pixels) of plain +."""
         if self.rgb is None:
-            return sum_traditional(self.p, 0.0)
+            return summed(self.p)
         return rules.space.forward(summed(self.rgb))[1]
 
 
@@ -335,8 +336,7 @@ def contributors(rules: StackRules, layers: Sequence[Array]) -> Contributors:
     luminance, p, alpha = terms.luminance, terms.p, terms.alpha
     rgb, limits = None, terms.bounds
     if not rules.space.linear:
-        scales = terms.weights * np.array(rules.opacities, p.dtype)[:, None]
-        rgb = np.stack([w * layer.T[:3] for w, layer in zip(scales, layers, strict=True)])
+        rgb = terms.rgb
     if rules.background is not None:
         color = np.array(rules.background, p.dtype)[:, None]
         luminance_below, p_below = rules.space.forward(color)

@@ -20,7 +20,7 @@ LAYERS_AT_ONCE = 8
 #: What the reference engine takes for a block of pixels and the pairs of their terms.
 NUMPY_BYTES = 10 << 20
 #: A pixel of an accumulator's planes.
-PLANES_BYTES = 20
+PLANES_BYTES = 32
 #: The two planes more of a space in which the result is to be brought back into gamut.
 BOUNDS_BYTES = 8
 

@@ -565,19 +565,22 @@ class TestForemost:
         behind = np.array([[1.0, 2.0, 3.0, 4.0, 5.0], [1.0, 1.0, 1.0, 1.0, 0.0]])
         expected = [[0.1, 2.0, 0.0, 1e-300, 5.0], [0.2, 1.0, -0.1, 0.0, 0.0]]
         for rules in ((2.0, 0.0), (0.0, 1.0)):
-            assert addition.add_foremost(front, behind, *rules).tolist() == expected
             both = np.array([front, behind])
-            assert addition.sum_foremost(both, *rules).tolist() == expected
+            kept = addition.keep_foremost(front, behind, *rules)
+            assert addition.added(both, kept).tolist() == expected
+            kept = addition.keep_foremost_of_many(both, *rules)
+            assert addition.added(both, kept).tolist() == expected
 
     def test_no_multiple_bounds_its_steps(self):
         # The paper: "little tints of close-by colors could completely change the final image".
         red = np.array([[0.5], [0.1]])
         for tint in (1e-1, 1e-3, 1e-9, 1e-300):
             veil = np.array([[0.0], [-tint]])
-            change = addition.add_foremost(veil, red, 2.0) - addition.add_foremost(
-                0 * veil, red, 2.0
+            with_veil, without = (
+                addition.added((front, red), addition.keep_foremost(front, red, 2.0))
+                for front in (veil, 0 * veil)
             )
-            assert np.linalg.norm(change) > 0.5
+            assert np.linalg.norm(with_veil - without) > 0.5
 
 
 class TestPaleLabels:
@@ -634,9 +637,9 @@ class TestTraditional:
     @given(pair=any_pairs, hue_tolerance=hue_tolerances)
     def test_is_plus(self, pair, hue_tolerance):
         p1, p2 = np.array(pair[0][:2]), np.array(pair[1][:2])
-        add = addition.add_traditional
-        assert add(p1, p2, hue_tolerance).tolist() == (p1 + p2).tolist()
-        assert add(p1, p2, hue_tolerance, 0.7).tolist() == (p1 + p2).tolist()
+        for rules in ((hue_tolerance,), (hue_tolerance, 0.7)):
+            kept = addition.keep_all(p1, p2, *rules)
+            assert addition.added((p1, p2), kept).tolist() == (p1 + p2).tolist()
 
 
 class TestRange:

@@ -71,10 +71,11 @@ from hpcomp.pipeline import budget
 from hpcomp.pipeline import strips as strip_pass
 
 # Both engines work in float32 and differ in a square root, an angle, and where they divide.
-ULPS_OF_LARGEST_TERM = 8
-# The length of p is set anew, by two quotients: 13 were seen. Roots of some units in the last place
-# are cubed and weighed against each other, in CIELAB z by up to 12 times the luminance: 98 and 64.
-ULPS_OF_SPACE = {"hsl": 32, "oklab": 200, "cielab": 200}
+ULPS_OF_LARGEST_TERM = 12
+# The length of p is set anew, by two quotients, and a plain sum stands where p is hardly another: 49
+# were seen. Roots of some units in the last place are cubed and weighed against each other, in CIELAB
+# z by up to 12 times the luminance: 98 and 64.
+ULPS_OF_SPACE = {"hsl": 64, "oklab": 200, "cielab": 200}
 # Inside the shoulder ⊕ turns a rounding of its inputs into up to 1 + 3/τ of its result.
 INSIDE_SHOULDER = 1e-4
 INSIDE_SHOULDER_OF_CURVED_SPACES = 4e-4
@@ -100,18 +101,19 @@ def in_shoulder(rules, arrays):
         angle = np.arctan2(abs(p1[0] * p2[1] - p1[1] * p2[0]), p1[0] * p2[0] + p1[1] * p2[1])
         found[:] |= (angle > begin) & (angle < end) & p1.any(axis=0) & p2.any(axis=0)
 
-    def add(p1, p2, *settings):
+    def keep(p1, p2, *settings):
         look(p1, p2)
-        return addition.add_hue_preserving(p1, p2, *settings)
+        return addition.keep_hue(p1, p2, *settings)
 
-    def add_all(terms, *settings):
+    def keep_of_many(terms, *settings):
         for p1, p2 in itertools.combinations(terms, 2):
             look(p1, p2)
-        return addition.sum_simultaneous(terms, *settings)
+        return addition.keep_hues(terms, *settings)
 
-    blending = addition.Blending("hue-preserving", add, add_all, rules.blending.depends_on_order)
+    order_matters = rules.blending.depends_on_order
+    blending = addition.Blending("hue-preserving", keep, keep_of_many, order_matters)
     watched = dataclasses.replace(rules, blending=blending)
-    assert height * width <= reference.BLOCK_PIXELS  # one call of `add` sees all pixels
+    assert height * width <= reference.BLOCK_PIXELS  # one call of `keep` sees all pixels
     run_arrays(reference, watched, arrays.astype(np.float64), "float64", dtype=np.float64)
     return found.reshape(height, width)
 
@@ -319,13 +321,11 @@ class TestSamples:
         assert_same(stack_rules(1), [Strip(samples, decoding)], 50, 3)
 
     def test_every_half_as_light(self):
-        """Subnormal halves too; Inf and NaN are counted, and are no light."""
+        """Subnormal halves too; Inf and NaN are counted, and stay what they are where one is alone."""
         halves = np.arange(65536, dtype=np.uint16).view(np.float16).reshape(64, 1024, 1)
         result = run(kernel, stack_rules(1), [Strip(halves)], 1024, 64)
         expected = np.broadcast_to(halves, (64, 1024, 3)).astype(np.float32)
-        finite = np.isfinite(halves[..., 0])
-        assert np.array_equal(result.samples[finite][:, :3], expected[finite])
-        assert np.isnan(result.samples[~finite][:, :3]).all()
+        assert np.array_equal(result.samples[..., :3], expected, equal_nan=True)
         assert (result.samples[..., 3] == 1).all()
         assert result.nonfinite == [2 * 1024]
         assert_same(stack_rules(1), [Strip(halves)], 1024, 64)
@@ -668,7 +668,7 @@ class TestOutput:
         assert np.array_equal(result.samples, expected, equal_nan=True)
         numbers = ~np.isnan(expected)
         assert np.array_equal(np.signbit(result.samples[numbers]), np.signbit(expected[numbers]))
-        assert np.isinf(expected).any() == bool(exposure)
+        assert np.isinf(expected).any()
         beyond = (abs(light) > LARGEST_HALF) & np.isfinite(light)
         assert result.losses == Losses(beyond_half=int(beyond.any(axis=2).sum()))
 
@@ -933,6 +933,8 @@ def make_accumulator(rules=None, width=3, height=2, level="", **changed):
 BALANCED, SIMULTANEOUS = _kernel.Order.BALANCED, _kernel.Order.SIMULTANEOUS
 #: What is no choice: numbers, names, and members of other enums.
 NO_CHOICES = (-1, 0, 1, 2**31, None, "over", "BOTTOM_UP", 1.5, _kernel.Losses)
+CODES = {"matrix": None, "luminance_weights": [0.2, 0.7, 0.1]}
+BACKGROUND = {"luminance": 0.1, "p": [0.2, 0.3], "rgb": [0.4, 0.1, 0.2], "lo": 0.0, "hi": 0.0}
 CODES_8 = kernel.code_tables(np.dtype(np.uint8))
 CODES_16 = kernel.code_tables(np.dtype(np.uint16))
 
@@ -952,7 +954,7 @@ def out(dtype=np.float32, height=2, width=3, channels=4):
 def make_codes(tables=CODES_8, **changed):
     """`_kernel.codes` of a depth, but for what is changed."""
     return _kernel.codes(
-        **{**tables, "matrix": None, "luminance_weights": [0.2, 0.7, 0.1], **changed}
+        **{**tables, **CODES, "space": make_maps(), **changed}
     )
 
 
@@ -1062,7 +1064,9 @@ class TestBinding:
         with refused():
             make_layer(opacity=opacity)
 
-    @pytest.mark.parametrize("matrix", [[1.0] * 8, [1.0] * 10, [None] * 9, np.eye(3)], ids=len)
+    @pytest.mark.parametrize(
+        "matrix", [[1.0] * 6, [[1.0, 2.0]] * 2, [[None] * 2] * 3, np.eye(3)], ids=len
+    )
     def test_matrix(self, matrix):
         with refused():
             make_layer(matrix=matrix)
@@ -1157,8 +1161,8 @@ class TestBinding:
         """No argument has a place, none is left out, and none is of another name."""
         calls = {
             _kernel.layer: {**ARGUMENTS_OF_A_LAYER, "samples": np.zeros((2, 3, 4), np.float32)},
-            _kernel.background: {"luminance": 0.1, "p": [0.2, 0.3], "lo": 0.0, "hi": 0.0},
-            _kernel.codes: {**CODES_8, "matrix": None, "luminance_weights": [0.2, 0.7, 0.1]},
+            _kernel.background: BACKGROUND,
+            _kernel.codes: {**CODES_8, **CODES, "space": make_maps()},
             _kernel.scratch_bytes: {"order": BALANCED, "layers": 3},
         }
         for call, arguments in calls.items():
@@ -1331,7 +1335,9 @@ class TestBinding:
         with refused():
             make_codes(luminance_weights=weights)
 
-    @pytest.mark.parametrize("matrix", [[1.0] * 8, [1.0] * 10, [None] * 9, np.eye(3)], ids=len)
+    @pytest.mark.parametrize(
+        "matrix", [[1.0] * 6, [[1.0, 2.0]] * 2, [[None] * 2] * 3, np.eye(3)], ids=len
+    )
     def test_matrix_of_codes(self, matrix):
         with refused():
             make_codes(matrix=matrix)

@@ -41,12 +41,13 @@ def make_maps(kind="linear", coefficient=1.0, **changed):
     for name, rows in ROWS_OF_MAPS[kind].items():
         arguments[name] = [[coefficient] * 2] * rows
     if kind in ("oklab", "cielab"):
-        arguments["inverse_largest"] = 0.5
+        arguments |= {"inverse_largest": 0.5, "slack_lo": 0.0, "slack_hi": 0.0}
     return getattr(_kernel, f"{kind}_maps")(**{**arguments, **changed})
 
 
 def make_background(**changed):
-    return _kernel.background(**{"luminance": 0.1, "p": [0.2, 0.3], "lo": 0.0, "hi": 0.0, **changed})
+    arguments = {"luminance": 0.1, "p": [0.2, 0.3], "rgb": [0.4, 0.1, 0.2], "lo": 0.0, "hi": 0.0}
+    return _kernel.background(**{**arguments, **changed})
 
 
 def make_rules(**changed):

@@ -305,15 +305,35 @@ SPACES = {
 OPEN = ("hsl", "oklab", "cielab")
 
 
-def within(c, lo, hi):
-    """c, or the nearest colour to it on the way to its grey whose channels are in [lo, hi]."""
-    y = luminance(c)
+#: By how many luminances curves of one hue go below black and above white before they end inside.
+SLACK = {"hsl": (0, 0), "oklab": (0.01, 0), "cielab": (0, 0.035)}
+
+
+def within(space, y, p, lo, hi):
+    """The colour of y and p with its channels in [lo, hi].
+
+    It is that of t·p with the largest t in [0, 1] up to which all are in that range and the slack;
+    from there it goes straight towards its grey.
+    """
+    _, color_of = SPACES[space]
+    lo, hi = min(lo, y), max(hi, y)  # of a grey, y may round to them or beyond them
+    below, above = SLACK[space]
+
+    def fits(t):
+        color = color_of(y, scaled(t, p))
+        return all(lo - below * y <= channel <= hi + above * y for channel in color)
+
+    inside, outside = (1, 1) if fits(1) else (0, 1)
+    for _ in range(60 if inside < outside else 0):
+        middle = (inside + outside) / 2
+        inside, outside = (middle, outside) if fits(middle) else (inside, middle)
+    c = color_of(y, scaled(inside, p))
     t = 1.0
     for channel in c:
-        if channel > max(hi, y):  # of a grey, y may round to it or beyond it
-            t = min(t, max(hi - y, 0) / (channel - y))
-        if channel < min(lo, y):
-            t = min(t, max(y - lo, 0) / (y - channel))
+        if channel > hi:
+            t = min(t, (hi - y) / (channel - y))
+        if channel < lo:
+            t = min(t, (y - lo) / (y - channel))
     return tuple(y + t * (channel - y) for channel in c)
 
 
@@ -326,12 +346,17 @@ def disguised(space, c):
     return color(luminance(c), added(scaled(p[0], AXIS_1), scaled(p[1], AXIS_2)))
 
 
+def undisguised(c):
+    """The luminance and p of the colour whose disguise is c."""
+    d = difference(c)
+    p = tuple(sum(a * b for a, b in zip(d, axis, strict=True)) for axis in (AXIS_1, AXIS_2))
+    return luminance(c), p
+
+
 def revealed(space, c):
     """The colour whose disguise is c."""
     _, color_of = SPACES[space]
-    d = difference(c)
-    p = tuple(sum(a * b for a, b in zip(d, axis, strict=True)) for axis in (AXIS_1, AXIS_2))
-    return color_of(luminance(c), p)
+    return color_of(*undisguised(c))
 
 
 # --- Algorithm 1 --------------------------------------------------------------------------------
@@ -625,5 +650,14 @@ def composite_in(space, layers, background=None, **job):
             w.append(1 - alpha)
         lo = sum(w_i * min(0, *c_i) for w_i, (c_i, _) in zip(w, terms, strict=True))
         hi = sum(w_i * max(a_i, *c_i) for w_i, (c_i, a_i) in zip(w, terms, strict=True))
-        c = within(c, lo, hi)
+        y, p = undisguised(result[:3])
+        c = within(space, y, p, lo, hi)
+        # Where (+) did nothing but +, the colour is the sum of colours.
+        plain = color(0, (0.0, 0.0, 0.0))
+        for w_i, (c_i, _) in zip(w, terms, strict=True):
+            plain = added(plain, scaled(w_i, c_i))
+        of_plain = undisguised(disguised(space, plain))[1]
+        room = 4e-15 * (abs(y) + max(map(abs, p)))
+        if all(abs(a - b) <= room for a, b in zip(p, of_plain, strict=True)):
+            c = plain
     return (*c, result[3])
