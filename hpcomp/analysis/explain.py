@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Unpack
 import numpy as np
 from numpy.typing import NDArray
 
-from ..blending.addition import BLENDINGS, chroma, rivalry, shoulder
+from ..blending.addition import BLENDINGS, chroma, shoulder, strongest_rivals
 from ..blending.rules import StackRules
 from ..blending.terms import weighted
 from ..color.planes import cross_and_dot
@@ -441,13 +441,15 @@ class _Trace:
         if not with_hue:
             return
         rules = self.rules
-        cancelled = rivalry(p[list(with_hue)], rules.hue_tolerance, rules.gray_bias)[:, :, 0]
-        for number, shares in zip(with_hue, cancelled, strict=True):
-            rival = with_hue[int(shares.argmax())] if shares.max() > 0 else None
+        shares, rivals = strongest_rivals(
+            p[list(with_hue), :, 0].T, rules.hue_tolerance, rules.gray_bias
+        )
+        for number, share, strongest in zip(with_hue, shares, rivals, strict=True):
+            rival = with_hue[int(strongest)] if share > 0 else None
             self.rivalries.append(
                 Rivalry(
                     number=number,
-                    share=float(1 - shares.max()),
+                    share=float(1 - share),
                     rival=rival,
                     angle=None if rival is None else _degrees_between(p[number], p[rival]),
                 )

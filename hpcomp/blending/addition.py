@@ -32,6 +32,13 @@ ROUNDING_ANGLE = 1e-4
 #: Above what float32 rounding changes in the cosine of two unit vectors.
 COSINE_ROUNDING = 1e-5
 
+#: Terms of a pixel up to which all pairs of them are tabled, for several pixels side by side.
+MOST_TABLED = 64
+#: Shoulders that are tabled at a time, of some terms and all others, where a pixel has more terms;
+#: and how many arrays of that size, of doubles, there are meanwhile.
+SHOULDERS_AT_ONCE = 1 << 20
+SHOULDER_ARRAYS = 12
+
 #: The largest tolerance, in degrees: at 90 the shoulder reaches the opposite hue.
 MAX_HUE_TOLERANCE = 90.0
 
@@ -64,7 +71,6 @@ def shoulder(p1: Array, p2: Array, hue_tolerance: float) -> Array:
     smoothstep between. At tolerance 0 a hard switch at `ROUNDING_ANGLE`. A vector without hue
     (p = 0) is equal to any.
     """
-    tolerance = max(math.radians(hue_tolerance), ROUNDING_ANGLE)
     m1, m2 = chroma(p1), chroma(p2)
     # Unit vectors, so that neither tiny nor huge colours leave the range of the type.
     x1, y1 = ratio(p1, m1)
@@ -72,15 +78,19 @@ def shoulder(p1: Array, p2: Array, hue_tolerance: float) -> Array:
     cosine = x1 * x2 + y1 * y2
     e = ((m1 == 0) | (m2 == 0)).astype(cosine.dtype)
     # Few pixels lie near the switch: only they need the angle itself.
-    switch_end = 2 * tolerance if hue_tolerance > 0 else tolerance
+    switch_end = max(math.radians(2 * hue_tolerance), 2 * ROUNDING_ANGLE)
     near = (cosine >= math.cos(switch_end) - COSINE_ROUNDING) & (e == 0)
     angle = np.arctan2(np.abs(x1[near] * y2[near] - y1[near] * x2[near]), cosine[near])
-    if hue_tolerance > 0:
-        t = np.clip(angle / tolerance - 1, 0, 1)
-        e[near] = 1 - t * t * (3 - 2 * t)
-    else:
-        e[near] = angle <= tolerance
+    e[near] = _shoulder_of(angle, hue_tolerance)
     return e
+
+
+def _shoulder_of(angle: Array, hue_tolerance: float) -> Array:
+    """e (…) of hues at an angle in [0, π]; no tolerance but 0 is below that of rounding."""
+    if hue_tolerance == 0:
+        return (angle <= ROUNDING_ANGLE).astype(angle.dtype)
+    t = np.clip(angle / max(math.radians(hue_tolerance), ROUNDING_ANGLE) - 1, 0, 1)
+    return 1 - t * t * (3 - 2 * t)
 
 
 def _biased(share: Array, gray_bias: float) -> Array:
@@ -142,6 +152,12 @@ def keep_hues(p: Array, hue_tolerance: float, gray_bias: float = 0.0) -> Array:
     kept = np.ones((n, flat.shape[2]), p.dtype)
     for count in np.unique(counts[counts > 1]):
         pixels = np.flatnonzero(counts == count)
+        if count > MOST_TABLED:
+            for pixel in pixels:
+                numbers = first[:count, pixel]
+                share, _ = strongest_rivals(flat[numbers, :, pixel].T, hue_tolerance, gray_bias)
+                kept[numbers, pixel] = 1 - share
+            continue
         # The pair tables hold count² values a pixel: short runs keep them in cache.
         for run in np.array_split(pixels, max(1, len(pixels) * count**2 >> 18)):
             numbers = first[:count, run]
@@ -168,6 +184,59 @@ def rivalry(p: Array, hue_tolerance: float, gray_bias: float = 0.0) -> Array:
     rival = np.minimum(support.swapaxes(0, 1), near[None, :])
     q = ratio(np.minimum(rival, support), support)  # min(1, q) of the text
     return (1 - e) * _biased(q, gray_bias)
+
+
+def bytes_to_keep(terms: int) -> int:
+    """Memory that `keep_hues` takes beside p for a pixel of so many terms, at most."""
+    return max(terms, min(terms**2, SHOULDERS_AT_ONCE)) * SHOULDER_ARRAYS * 8
+
+
+def strongest_rivals(
+    p: Array, hue_tolerance: float, gray_bias: float = 0.0
+) -> tuple[Array, NDArray[np.intp]]:
+    """(n) each: what share of each term its strongest rival cancels, and which one that is.
+
+    The first of several that are as strong, and any where the share is 0.
+    p (2, n), every |p| > 0. As `rivalry` has it, of some terms at a time: neighbours in hue, which
+    few others back. Supports are products of matrices of shoulders.
+    """
+    n = p.shape[1]
+    hue, m = np.arctan2(*p[::-1].astype(float)), chroma(p.astype(float))
+    by_hue = np.argsort(hue, kind="stable")
+    hue, m = hue[by_hue], m[by_hue]
+    some = max(1, SHOULDERS_AT_ONCE // n)
+    blocks = [slice(begin, min(begin + some, n)) for begin in range(0, n, some)]
+    near = np.concatenate([np.minimum(m[block, None], m).sum(axis=1) for block in blocks])
+    share, rival = np.zeros_like(m), np.full(n, n)
+
+    def shoulders(block: slice) -> Array:
+        angle = np.abs(hue[block, None] - hue)
+        return _shoulder_of(np.minimum(angle, 2 * math.pi - angle), hue_tolerance)
+
+    def support(own: Array, other: Array) -> Array:
+        """[i, j]: what backs i's hue and not j's."""
+        backs = own.any(axis=0)
+        return (own[:, backs] * m[backs]) @ (1 - other[:, backs]).T
+
+    def oppose(block: slice, others: slice, e: Array, backing: Array, opposed: Array) -> None:
+        strength = np.minimum(opposed, near[others])
+        q = ratio(np.minimum(strength, backing), backing)
+        cancelled = (1 - e) * _biased(q, gray_bias)
+        most = cancelled.max(axis=1)
+        first = np.where(cancelled == most[:, None], by_hue[others], n).min(axis=1)
+        stronger = (most > share[block]) | ((most == share[block]) & (first < rival[block]))
+        share[block][stronger], rival[block][stronger] = most[stronger], first[stronger]
+
+    for number, block in enumerate(blocks):
+        own = shoulders(block)
+        for others in blocks[number:]:
+            other = own if others is block else shoulders(others)
+            supported, opposed = support(own, other), support(other, own)
+            oppose(block, others, own[:, others], supported, opposed.T)
+            if others is not block:
+                oppose(others, block, other[:, block], opposed, supported.T)
+    given = np.argsort(by_hue)
+    return share[given], rival[given]
 
 
 def keep_all_of_many(p: Array, hue_tolerance: float, gray_bias: float = 0.0) -> Array:

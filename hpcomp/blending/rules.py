@@ -114,7 +114,8 @@ class StackRules:
     @property
     def reduction(self) -> Reduction:
         """The leanest way to reduce this stack while its layers arrive."""
-        if self.order is orders.ORDERS["bottom-up"] or not self.blending.depends_on_order:
+        one_way = len(self.operators) == 1 or not self.blending.depends_on_order
+        if one_way or self.order is orders.ORDERS["bottom-up"]:
             return Reduction.BOTTOM_UP
         only_over = all(row is None or row.name == "over" for row in self.operators)
         if self.order is orders.ORDERS["top-down"] and only_over:

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..color.gamut import bounds_of
+from ..color.gamut import bounds_of, colors_within
 from ..color.spaces import Space
 from .addition import added
 from .rules import StackRules
@@ -98,8 +98,29 @@ def sum_of_terms(terms: Sequence[Term], kept: Sequence[Array], space: Space) -> 
     # What is not kept becomes grey. None of it is below 0 where no luminance is.
     grey = np.zeros_like(luminance)
     for term, factor in zip(terms, kept, strict=True):
-        grey += term.luminance - factor * term.luminance
+        grey += np.where(factor == 1, 0, term.luminance - factor * term.luminance)
     return Term(luminance, p, added([term.rgb for term in terms], kept) + grey, bounds)
+
+
+def sums_of_runs(term: Term, kept: Array, first: NDArray[np.intp], space: Space) -> Term:
+    """The sums of runs of terms, which lie one after the other in `term` and begin at `first`.
+
+    `kept`: the factor in [0, 1] of each p.
+    """
+
+    def total(planes: Array) -> Array:
+        return np.add.reduceat(planes, first, axis=-1) if planes.size else planes[..., first]
+
+    luminance, bounds, p = total(term.luminance), total(term.bounds), total(kept * term.p)
+    if not space.linear:
+        return Term(luminance, p, total(term.rgb), bounds)
+    grey = total(np.where(kept == 1, 0, term.luminance - kept * term.luminance))
+    return Term(luminance, p, total(kept * term.rgb) + grey, bounds)
+
+
+def color_of(space: Space, term: Term) -> Array:
+    """The colour (3, n) of a sum of terms, in gamut."""
+    return colors_within(space, term.luminance, term.p, term.rgb, term.bounds)
 
 
 def weighted(rules: StackRules, space: Space, layers: Sequence[Array]) -> Terms:

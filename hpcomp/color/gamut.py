@@ -42,7 +42,7 @@ def bounds_of(space: Space, rgb: Array, alpha: Array | float = 0.0) -> Array:
         return np.empty((0, *rgb.shape[1:]), rgb.dtype)
     bounds = np.empty((2, *rgb.shape[1:]), rgb.dtype)
     np.minimum(rgb.min(axis=0), 0, out=bounds[0])
-    np.maximum(rgb.max(axis=0), alpha, out=bounds[1])
+    np.fmax(rgb.max(axis=0), alpha, out=bounds[1])  # an alpha that is NaN bounds nothing
     return bounds
 
 

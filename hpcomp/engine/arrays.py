@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..blending import addition
-from ..blending.terms import sum_of_terms, term_of
-from ..color import gamut, spaces
+from ..blending.terms import color_of, sum_of_terms, term_of
+from ..color import spaces
 from ..color.primaries import to_xyz, working_primaries
 from ..color.quantization import Losses
 from ..color.samples import Strip
@@ -112,8 +112,7 @@ def hue_add(
     terms = [term_of(blending_space, colors, 0.0) for colors in (first, second)]
     kept = addition.keep_hue(terms[0].p, terms[1].p, tolerance, bias)
     both = sum_of_terms(terms, kept, blending_space)  # Eq. 1
-    rgb = gamut.colors_within(blending_space, both.luminance, both.p, both.rgb, both.bounds)
-    return rgb.T.reshape(a.shape)
+    return color_of(blending_space, both).T.reshape(a.shape)
 
 
 def stack_measures(layers: Sequence[ArrayLike], **settings: Any) -> StackMeasures:

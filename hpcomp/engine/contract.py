@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..blending.rules import StackRules
 from ..color.primaries import REC709, Primaries
@@ -65,6 +66,18 @@ class Engine(Protocol):
 
     def bytes_to_reduce(self, rules: StackRules, layers: int) -> int:
         """Memory that a strip of so many layers takes beside its samples, whatever its size."""
+
+    def keep_runs(
+        self, rules: StackRules, counts: NDArray[np.int64], p: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """What is kept of each of runs of chroma vectors, added at once: p (2, n) → (n) in [0, 1].
+
+        `counts`: (runs), n in all. `rules`: of a blending and a tolerance; no order, and nobody in
+        front.
+        """
+
+    def bytes_to_keep(self, terms: int) -> int:
+        """Memory that `keep_runs` takes beside p for a run of so many."""
 
     def measures(self, rules: StackRules) -> bool:
         """Whether it measures stacks of such rules; the reference measures all."""

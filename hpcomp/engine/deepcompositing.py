@@ -14,15 +14,18 @@ from ..blending.deepsamples import DeepSamples, Floats, Ints
 from ..blending.orders import ORDERS
 from ..blending.porter_duff import operator
 from ..blending.rules import Reduction, StackRules
+from ..blending.terms import color_of, layer_term, sums_of_runs
 from ..color.primaries import REC709, Primaries
 from ..color.quantization import Losses
 from ..color.samples import OUTPUT_TYPES, Samples, Strip
 from . import choice as engine
 
-#: Samples in one place that are added at once; what that takes grows faster than their number. More
-#: are sorted by hue, and then every so many neighbours are one, which keeps groups of one hue
-#: together and does not depend on the order of samples either.
-MOST_AT_ONCE = 32
+#: Samples in one place up to which pixels with as many are stacks, side by side. More are added run
+#: by run, which takes longer for few and no memory but for the samples of a run.
+MOST_SIDE_BY_SIDE = 32
+#: Memory that a sample of such a run takes beside what adding them all takes: as a piece of a split
+#: sample, and as a term.
+RUN_SAMPLE_BYTES = 320
 
 #: Layers of a stack that are there at a time, where they fold, and what one takes but for samples.
 FOLDED_AT_ONCE = 256
@@ -52,11 +55,18 @@ def bytes_to_reduce(rules: StackRules, samples: int, has_volumes: bool) -> int:
     """Memory that a pixel of so many samples takes beside these, at most."""
     pieces = 2 * samples if has_volumes else samples
     height = int(deepsamples.stack_heights(np.array([pieces]))[0])
+    at_one_place = min(samples, MOST_SIDE_BY_SIDE)
     of_stack, of_place = (
         engine.active().bytes_to_reduce(of, layers) + _layers_at_once(of, layers) * LAYER_BYTES
-        for of, layers in ((rules, height), (_coincident_rules(rules), min(samples, MOST_AT_ONCE)))
+        for of, layers in (
+            (_of_height(rules, "over", height), height),
+            (_of_height(_coincident_rules(rules), "plus", at_one_place), at_one_place),
+        )
     )
-    return max(of_stack, of_place)
+    of_run = 0
+    if samples > MOST_SIDE_BY_SIDE:
+        of_run = samples * RUN_SAMPLE_BYTES + engine.active().bytes_to_keep(samples)
+    return max(of_stack, of_place, of_run)
 
 
 def _coincident_rules(rules: StackRules) -> StackRules:
@@ -80,21 +90,37 @@ def _merged_colors(
     def add(counts: Ints, rgba: Floats) -> Floats:
         return _composited(counts, rgba, rules, "plus", "float", Losses(), rules.primaries, go_on)
 
-    large = counts > MOST_AT_ONCE
-    if not large.any():
+    long = counts > MOST_SIDE_BY_SIDE
+    if not long.any():
         return add(counts, rgba)
-    of_large = np.repeat(large, counts)
+    of_long = np.repeat(long, counts)
     made = np.empty((len(counts), 4), np.float32)
-    made[~large] = add(counts[~large], rgba[~of_large])
-    colors, lengths = rgba[of_large], counts[large]
-    _, p = rules.blending_space.forward(colors[:, :3].T.astype(float))
-    run = np.repeat(np.arange(len(lengths)), lengths)
-    by_hue = np.lexsort((*colors.T, np.arctan2(p[1], p[0]), run))
-    groups = -(-lengths // MOST_AT_ONCE)
-    group = np.arange(groups.sum()) - np.repeat(np.cumsum(groups) - groups, groups)
-    size, longer = np.repeat(lengths // groups, groups), np.repeat(lengths % groups, groups)
-    added = add(size + (group < longer), colors[by_hue])
-    made[large] = _merged_colors(rules, go_on, groups, added)
+    made[~long] = add(counts[~long], rgba[~of_long])
+    made[long] = _added_run_by_run(rules, go_on, counts[long], rgba[of_long])
+    return made
+
+
+def _added_run_by_run(
+    rules: StackRules, go_on: Callable[[], None], counts: Ints, rgba: Floats
+) -> Floats:
+    """Each run as one sample (runs, 4), however long."""
+    by, space = engine.active(), rules.blending_space
+    made = np.empty((len(counts), 4), np.float32)
+    pairs = np.cumsum(counts.astype(np.int64) ** 2)
+    ends = np.cumsum(counts)
+    begin = 0
+    while begin < len(counts):
+        go_on()
+        most = (pairs[begin - 1] if begin else 0) + by.pairs_at_once
+        end = max(begin + 1, int(np.searchsorted(pairs, most, side="right")))
+        of_runs = slice(ends[begin] - counts[begin], ends[end - 1])
+        terms, alpha = layer_term(space, 1.0, rgba[of_runs].astype(float))
+        kept = by.keep_runs(rules, counts[begin:end].astype(np.int64), terms.p.astype(float))
+        first = ends[begin:end] - counts[begin:end] - of_runs.start
+        runs = sums_of_runs(terms, kept, first, space)
+        made[begin:end, :3] = color_of(space, runs).T
+        made[begin:end, 3] = np.minimum(np.add.reduceat(alpha, first), 1)
+        begin = end
     return made
 
 
@@ -112,11 +138,7 @@ def _composited(
     made: Samples = np.empty((len(counts), 4), OUTPUT_TYPES[kind])
     for pixels, stack in deepsamples.layers(counts, rgba):
         height = len(stack)
-        of_height = replace(
-            rules,
-            operators=(None, *[operator(op)] * (height - 1)),
-            opacities=(1.0,) * height,
-        )
+        of_height = _of_height(rules, op, height)
         arrival, layers_at_once = list(of_height.arrival), _layers_at_once(of_height, height)
         pixels_at_once = len(pixels)
         if of_height.order is ORDERS["simultaneous"]:  # which takes the square of the height
@@ -130,6 +152,12 @@ def _composited(
                 accumulator.add(numbers, [Strip(stack[number, part][None]) for number in numbers])
             made[pixels[part]] = accumulator.result(kind, losses, gamut)[0]
     return made
+
+
+def _of_height(rules: StackRules, op: str, height: int) -> StackRules:
+    """The rules of a stack of so many samples."""
+    operators = (None, *[operator(op)] * (height - 1))
+    return replace(rules, operators=operators, opacities=(1.0,) * height)
 
 
 def _layers_at_once(rules: StackRules, layers: int) -> int:

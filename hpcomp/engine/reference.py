@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..blending.addition import bytes_to_keep
 from ..blending.orders import ORDERS
 from ..blending.rules import Reduction, StackRules
-from ..blending.terms import Term, layer_term, sum_of, sum_of_many, term_of, weighted
-from ..color.gamut import colors_within
+from ..blending.terms import Term, color_of, layer_term, sum_of, sum_of_many, term_of, weighted
 from ..color.primaries import REC709, Primaries
 from ..color.quantization import Losses
 from ..color.samples import Samples, Strip, cropped, encode, linear_rgba, spread
@@ -27,12 +27,11 @@ if TYPE_CHECKING:  # only reports need them
     from ..measures.summary import StackSummary, StripToMeasure
 
 Array = NDArray[np.floating[Any]]
+Counts = NDArray[np.int64]
+Chroma = NDArray[np.float64]
 
 #: Pixels that are composited at a time, so that a few planes of them stay in the L2 cache.
 BLOCK_PIXELS = 16_384
-
-#: Of two terms that are added at once: their shoulder, support, rivalry, and what these take.
-PAIR_BYTES = 36
 
 
 class ReferenceEngine:
@@ -49,10 +48,23 @@ class ReferenceEngine:
         return _ACCUMULATORS[rules.reduction](rules, width, height, dtype)
 
     def bytes_to_reduce(self, rules: StackRules, layers: int) -> int:
-        """The pairs of the terms of one pixel, where these are more than those of a block."""
+        """What adding all terms of one pixel at once takes; those of a block take no more."""
         if rules.reduction is not Reduction.ALL_LAYERS or rules.order is not ORDERS["simultaneous"]:
             return 0
-        return layers**2 * PAIR_BYTES
+        return bytes_to_keep(layers)
+
+    def keep_runs(self, rules: StackRules, counts: Counts, p: Chroma) -> Chroma:
+        """What is kept of each of runs of chroma vectors, added at once: p (2, n) → (n)."""
+        kept = np.ones(p.shape[1])
+        ends = np.cumsum(counts)
+        for begin, end in zip(ends - counts, ends, strict=True):
+            if begin < end:
+                kept[begin:end] = rules.keep_of_many(p[:, begin:end].T[..., None])[:, 0]
+        return kept
+
+    def bytes_to_keep(self, terms: int) -> int:
+        """Memory that `keep_runs` takes beside p for a run of so many."""
+        return bytes_to_keep(terms)
 
     def measures(self, rules: StackRules) -> bool:
         """It measures in every space."""
@@ -226,7 +238,7 @@ def _result(rules: StackRules, stack: Term, alpha: Array) -> Array:
             colour = term_of(space, np.array(rules.background, alpha.dtype)[:, None], 1.0)
             term = sum_of(rules, term, colour.weighted(1 - a_block))
             a_block = np.ones_like(a_block)
-        rgb = colors_within(space, term.luminance, term.p, term.rgb, term.bounds)
+        rgb = color_of(space, term)
         if rules.exposure:
             rgb = rgb * 2.0**rules.exposure
         rgba[block, :3] = rgb.T

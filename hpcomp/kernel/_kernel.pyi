@@ -84,6 +84,14 @@ class Measures:
 
 def levels() -> list[str]: ...
 def scratch_bytes(*, order: Order, layers: int) -> int: ...
+def run_bytes(*, terms: int) -> int: ...
+def keep_runs(
+    *,
+    rules: Rules,
+    counts: NDArray[np.int64],
+    p: NDArray[np.float64],
+    kept: NDArray[np.float64],
+) -> None: ...
 def layer(
     *,
     samples: _Samples,

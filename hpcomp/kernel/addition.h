@@ -185,12 +185,20 @@ HPCOMP_INLINE void add(const Rules &rules, int n, const Light &to, const float *
         p0[i] = a[i] * x0[i] + b[i] * z0[i];
         p1[i] = a[i] * x1[i] + b[i] * z1[i];
     }
+    if (!linear) {  // the plain sum
+        for (int i = 0; i < n; ++i) luminance[i] = weight[i] * luminance[i] + weight_from[i] * y[i];
+        for (int i = 0; i < n; ++i) grey[i] = 0;
+        mix_colors(n, to, weight, from, weight_from, grey);
+        return;
+    }
 #pragma GCC ivdep
     for (int i = 0; i < n; ++i) {
         const float of_to = weight[i] * luminance[i], of_from = weight_from[i] * y[i];
-        kept[i] = linear ? a[i] * weight[i] : weight[i];
-        kept_from[i] = linear ? b[i] * weight_from[i] : weight_from[i];
-        grey[i] = (of_to - kept[i] * luminance[i]) + (of_from - kept_from[i] * y[i]);
+        kept[i] = a[i] * weight[i];
+        kept_from[i] = b[i] * weight_from[i];
+        // Where all is kept nothing is lost, of what is infinite neither.
+        const float lost = of_to - kept[i] * luminance[i], lost_from = of_from - kept_from[i] * y[i];
+        grey[i] = (a[i] == 1 ? 0.0f : lost) + (b[i] == 1 ? 0.0f : lost_from);
         luminance[i] = of_to + of_from;  // [R1]
     }
     mix_colors(n, to, kept, from, kept_from, grey);
@@ -406,8 +414,15 @@ HPCOMP_INLINE void keep_at_once(const Rules &rules, const float *p, int count, i
         if (together && own[l] <= kPairedTerms) continue;
         find_terms<1>(p, count, begin + l, there, own + l);
         if (own[l] > kPairedTerms) {
+            double *terms = reinterpret_cast<double *>(scratch), *factors = terms + 2 * int64_t(own[l]);
+            for (int k = 0; k < own[l]; ++k) {
+                const float *term = p + int64_t(there[k]) * 2 * kBlock + begin + l;
+                terms[2 * int64_t(k)] = double(term[0]), terms[2 * int64_t(k) + 1] = double(term[kBlock]);
+                factors[k] = 1;
+            }
+            keep_of_many(rules, terms, own[l], factors + own[l], factors);
             for (int k = 0; together && k < count; ++k) kept[k * kBlock + l] = 1;
-            keep_of_many(rules, p + begin + l, there, own[l], scratch, kept + l);
+            for (int k = 0; k < own[l]; ++k) kept[there[k] * kBlock + l] = float(factors[k]);
         } else {
             keep_beside_rivals(rules, p, there, own[l], begin, scratch, neighbors, of_few);
             for (int k = 0; k < own[l]; ++k) kept[there[k] * kBlock + l] = of_few[k * kLanes + l];

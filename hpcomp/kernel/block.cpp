@@ -103,9 +103,8 @@ void add_layers(const Rules &rules, const Layer *layers, const int *numbers, int
 // --- reductions of all layers --------------------------------------------------------------------
 
 // The sum of weighted terms, of which `kept` is kept: planes (count, kBlock).
-HPCOMP_INLINE void sum_terms(const Rules &rules, int count, int n, const float *weight, const float *kept,
-                             const Light &terms, const Light &to) {
-    const bool linear = rules.maps == Maps::kLinear;
+HPCOMP_INLINE void sum_terms(int count, int n, const float *weight, const float *kept, const Light &terms,
+                             const Light &to) {
     for (int begin = 0; begin < n; begin += kLanes) {
         float luminance[kLanes] = {}, red[kLanes] = {}, green[kLanes] = {}, blue[kLanes] = {}, grey[kLanes] = {};
         for (int k = 0; k < count; ++k) {
@@ -113,9 +112,10 @@ HPCOMP_INLINE void sum_terms(const Rules &rules, int count, int n, const float *
             ConstRow w = weight + at, share = kept + at, y = terms.luminance + at;
             ConstRow r = terms.red + at, g = terms.green + at, b = terms.blue + at;
             for (int l = 0; l < kLanes; ++l) {
-                const float light = w[l] * y[l], factor = linear ? w[l] * share[l] : w[l];
+                const float light = w[l] * y[l], factor = w[l] * share[l];
+                const float lost = light - factor * y[l];
                 luminance[l] += light;  // [R1]
-                grey[l] += light - factor * y[l];
+                grey[l] += share[l] == 1 ? 0.0f : lost;  // of what is infinite, too
                 red[l] += factor * r[l];
                 green[l] += factor * g[l];
                 blue[l] += factor * b[l];
@@ -165,7 +165,9 @@ void reduce_layers(const Rules &rules, const Layer *layers, int count, int width
             reduce_terms(rules, p, count, n, kept, f_b, scratch + term_floats(count));
             std::memcpy(at.light.p0, p, n * sizeof(float));
             std::memcpy(at.light.p1, p + kBlock, n * sizeof(float));
-            sum_terms(rules, count, n, f_a, kept, terms, at.light);
+            if (rules.maps != Maps::kLinear)  // the plain sum
+                for (int64_t i = 0; i < planes; ++i) kept[i] = 1;
+            sum_terms(count, n, f_a, kept, terms, at.light);
             if (observer) observer->block(observer->self, x, y, n);
         }
     }

@@ -28,13 +28,16 @@ constexpr int64_t rounded_up(int64_t floats) { return (floats + 1) / 2 * 2; }
 
 // Scratch of a reduction of `n` layers, in floats: the six planes of each term, its factors and what is
 // kept of it; at once also the numbers of those with chroma, and the tables of pairs or what sorted terms
-// take. The pairs have their shoulders and supports, four rows of each term, and as ints its neighbors
-// and their number.
+// take, and these themselves. The pairs have their shoulders and supports, four rows of each term, and as
+// ints its neighbors and their number.
 constexpr int64_t term_floats(int64_t n) { return n * 9 * kBlock; }
 constexpr int64_t tabled(int64_t n) { return n < kTabledTerms ? n : kTabledTerms; }
 constexpr int64_t number_floats(int64_t n) { return rounded_up(n + (tabled(n) + 1) * tabled(n)); }
 constexpr int64_t pair_floats(int64_t n) { return (2 * tabled(n) + 4) * tabled(n) * kLanes; }
-constexpr int64_t many_terms_floats(int64_t n) { return n > kPairedTerms ? n * 47 : 0; }
+constexpr int64_t sorting_doubles(int64_t n) { return 23 * n + 5; }
+constexpr int64_t many_terms_floats(int64_t n) {
+    return n > kPairedTerms ? 2 * (3 * n + sorting_doubles(n)) : 0;
+}
 constexpr int64_t reducing_floats(Order order, int64_t n) {
     if (order != Order::kSimultaneous) return 0;
     const int64_t pairs = pair_floats(n), many = many_terms_floats(n);

@@ -86,6 +86,18 @@ class KernelEngine:
             return 0
         return _kernel.scratch_bytes(order=_order_of(rules), layers=layers)
 
+    def keep_runs(
+        self, rules: StackRules, counts: NDArray[np.int64], p: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """What is kept of each of runs of chroma vectors, added at once: p (2, n) → (n)."""
+        kept = np.empty(p.shape[1])
+        _kernel.keep_runs(rules=rules_of(rules), counts=counts, p=p, kept=kept)
+        return kept
+
+    def bytes_to_keep(self, terms: int) -> int:
+        """The terms themselves, and what sorting them by hue takes."""
+        return _kernel.run_bytes(terms=terms)
+
     def measures(self, rules: StackRules) -> bool:
         """It measures in linear spaces alone."""
         return rules.space.linear

@@ -166,7 +166,7 @@ HPCOMP_INLINE int64_t load_term(const Rules &rules, const Layer &layer, int x, i
     if (rules.maps != Maps::kLinear) {
         for (int i = 0; i < n; ++i) {
             lo[i] = smaller(smallest_of(to.red[i], to.green[i], to.blue[i]), 0.0f);
-            hi[i] = larger(largest_of(to.red[i], to.green[i], to.blue[i]), alpha[i]);
+            hi[i] = larger(alpha[i], largest_of(to.red[i], to.green[i], to.blue[i]));  // not a NaN alpha
         }
     }
     return nonfinite;

@@ -41,6 +41,7 @@ struct HueCircle {
     HueCircle(const Rules &rules, int n, double *scratch) : n(n) {
         const auto take = [&scratch](int64_t doubles) { return (scratch += doubles) - doubles; };
         const int64_t turns = 3 * int64_t(n);
+        static_assert(sizeof(Term) == 3 * sizeof(double) && sizeof(Window) == sizeof(double));
         equal = double(rules.tolerance);
         end = rules.inverse_tolerance > 0 ? smaller(2 * equal, kPi) : equal;
         terms = reinterpret_cast<Term *>(take(turns));
@@ -78,12 +79,11 @@ double shoulder(const Rules &rules, double angle) {
 }
 
 // Terms sorted by hue, then by length; false where one is NaN or infinite.
-bool sort_terms(const float *p, const int *there, const HueCircle &circle) {
+bool sort_terms(const double *p, const HueCircle &circle) {
     bool finite = true;
     for (int k = 0; k < circle.n; ++k) {
-        const float *of = p + int64_t(there[k]) * 2 * kBlock;
-        const double x = double(of[0]), y = double(of[kBlock]), angle = angle_of(magnitude(y), x);
-        circle.terms[k] = {y < 0 ? -angle : angle, __builtin_sqrt(x * x + y * y), there[k]};
+        const double x = p[2 * int64_t(k)], y = p[2 * int64_t(k) + 1], angle = angle_of(magnitude(y), x);
+        circle.terms[k] = {y < 0 ? -angle : angle, __builtin_sqrt(x * x + y * y), k};
         finite &= circle.terms[k].m - circle.terms[k].m == 0;
     }
     if (!finite) return false;
@@ -218,10 +218,9 @@ double cancelled_near(const Rules &rules, const HueCircle &circle, const Backing
 
 }  // namespace
 
-void keep_of_many(const Rules &rules, const float *p, const int *there, int n, float *scratch,
-                  float *kept) {
-    const HueCircle circle(rules, n, reinterpret_cast<double *>(scratch));
-    if (!sort_terms(p, there, circle)) return;
+void keep_of_many(const Rules &rules, const double *p, int n, double *scratch, double *kept) {
+    const HueCircle circle(rules, n, scratch);
+    if (!sort_terms(p, circle)) return;
     put_around_circle(circle);
     find_supports(rules, circle);
     find_holds(circle);
@@ -240,7 +239,7 @@ void keep_of_many(const Rules &rules, const float *p, const int *there, int n, f
             backing.fill(rules, circle, i);
             part = larger(part, cancelled_near(rules, circle, backing, i, near, same));
         }
-        kept[term.number * kBlock] = float(1 - part);
+        kept[term.number] = 1 - part;
     }
 }
 

@@ -6,10 +6,8 @@
 
 namespace hpcomp {
 
-// What is kept of `n` terms of p (count, 2, kBlock), those of the numbers `there`, each of which has
-// chroma, in the column at which p begins: factors, set in the column at which `kept` (count, kBlock)
-// begins, but where a term is not finite. `scratch` holds `many_terms_floats` and is aligned as doubles
-// are. The order of the terms changes no bit.
-void keep_of_many(const Rules &rules, const float *p, const int *there, int n, float *scratch, float *kept);
+// What is kept of the `n` terms p (n, 2), each of which has chroma: factors `kept` (n), which stay as they are
+// where a term is not finite. `scratch` holds `sorting_doubles`. The order of the terms changes no bit.
+void keep_of_many(const Rules &rules, const double *p, int n, double *scratch, double *kept);
 
 }  // namespace hpcomp

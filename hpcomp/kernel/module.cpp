@@ -22,6 +22,7 @@
 
 #include "binding.h"
 #include "levels.h"
+#include "manyterms.h"
 
 namespace nb = nanobind;
 using namespace nb::literals;
@@ -568,6 +569,51 @@ class Accumulator {
     bool finished_ = false;
 };
 
+using Counts = nb::ndarray<const int64_t, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
+using ChromaPlanes = nb::ndarray<const double, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
+using Kept = nb::ndarray<double, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
+
+// What is kept of the chroma vectors p (2, all of the runs) of each run, added at once: factors `kept`.
+void keep_runs(std::shared_ptr<StackRules> rules, Counts counts, ChromaPlanes p, Kept kept) {
+    const int64_t runs = int64_t(counts.shape(0)), in_all = int64_t(p.shape(1));
+    if (p.shape(0) != 2) throw nb::value_error("p must be two planes");
+    if (int64_t(kept.shape(0)) != in_all) throw nb::value_error("a factor for each vector is needed");
+    check_aligned(counts.data(), sizeof(int64_t));
+    check_aligned(p.data(), sizeof(double));
+    check_aligned(kept.data(), sizeof(double));
+    if (rules->rules.blending == Blending::kForemost)
+        throw nb::value_error("none of what is added at once is in front");
+    int64_t left = in_all, longest = 0;
+    for (int64_t run = 0; run < runs; ++run) {
+        const int64_t count = counts.data()[run];
+        if (count < 0 || count > left || count > (1 << 30)) throw nb::value_error("runs of other lengths");
+        left -= count;
+        longest = std::max(longest, count);
+    }
+    if (left != 0) throw nb::value_error("runs of other lengths");
+    const nb::gil_scoped_release unlocked;
+    std::fill(kept.data(), kept.data() + in_all, 1.0);
+    if (rules->rules.blending == Blending::kTraditional) return;
+    const double *x = p.data(), *y = x + in_all;
+    double *factors = kept.data();
+    std::vector<double> scratch(size_t(3 * longest + sorting_doubles(longest)));
+    double *terms = scratch.data(), *of_terms = terms + 2 * longest, *sorting = of_terms + longest;
+    for (int64_t run = 0; run < runs; ++run) {
+        const int64_t count = counts.data()[run];
+        int n = 0;
+        for (int64_t k = 0; k < count; ++k) {
+            if (x[k] == 0 && y[k] == 0) continue;
+            terms[2 * int64_t(n)] = x[k], terms[2 * int64_t(n) + 1] = y[k];
+            of_terms[n++] = 1;
+        }
+        if (n > 0) keep_of_many(rules->rules, terms, n, sorting, of_terms);
+        n = 0;
+        for (int64_t k = 0; k < count; ++k)
+            if (!(x[k] == 0 && y[k] == 0)) factors[k] = of_terms[n++];
+        x += count, y += count, factors += count;
+    }
+}
+
 // Measures all layers of a strip without compositing it.
 void measure(std::shared_ptr<StackRules> rules, const std::vector<StripLayer *> &strips,
              StripMeasures &measures, const std::string &level) {
@@ -611,6 +657,9 @@ NB_MODULE(_kernel, module) {
     module.def("scratch_bytes", [](Order order, int layers) {
         return int64_t(sizeof(float)) * scratch_floats(order, layers);
     }, nb::kw_only(), "order"_a.noconvert(), "layers"_a);
+    module.def("run_bytes", [](int64_t terms) {
+        return int64_t(sizeof(double)) * (3 * terms + sorting_doubles(terms));
+    }, nb::kw_only(), "terms"_a);
 
     nb::class_<StripLayer>(module, "Layer");
     module.def("layer", &make_layer, nb::kw_only(), "samples"_a.noconvert(), "decode"_a.none().noconvert(),
@@ -690,6 +739,8 @@ NB_MODULE(_kernel, module) {
     module.def("measures", &make_measures, nb::kw_only(), "layers"_a, "width"_a, "height"_a, "bins"_a,
                "half_step"_a, "achromatic"_a, "foreign_sine"_a, "foreign_cosine"_a, "depends_on_order"_a,
                "provenance"_a.none());
+    module.def("keep_runs", &keep_runs, nb::kw_only(), "rules"_a, "counts"_a.noconvert(), "p"_a.noconvert(),
+               "kept"_a.noconvert());
     module.def("measure", &measure, nb::kw_only(), "rules"_a, "layers"_a, "measures"_a, "level"_a = "");
     bind_packing(module);
 }

@@ -236,8 +236,8 @@ def test_memory_stays_in_the_budget(tmp_path, threads, options):
         assert most - base <= budget + NOISE_M
 
 
-def skewed(samples, seed=0):
-    """32 pixels of a sample each, but for one of so many, at depths of their own, of two labels."""
+def skewed(samples, seed=0, *, apart=True):
+    """32 pixels of a sample each, but for one of so many, of two labels; each at its depth or all at one."""
     rng = np.random.default_rng(seed)
     counts = np.ones((4, 8), int)
     counts[2, 3] = samples
@@ -245,7 +245,7 @@ def skewed(samples, seed=0):
     labels = np.array([(1, 0.05, 0), (0, 0.1, 1)])[rng.integers(0, 2, len(alpha))]
     colors = labels * (alpha * rng.uniform(0.3, 1, len(alpha)))[:, None]
     planes = {name: plane.astype("f2") for name, plane in zip("RGB", colors.T, strict=True)}
-    depth = rng.permutation(len(alpha)).astype("f4")
+    depth = rng.permutation(len(alpha)).astype("f4") * apart
     return Deep(counts, {**planes, "A": alpha.astype("f2"), "Z": depth})
 
 
@@ -260,6 +260,25 @@ def test_thousands_of_samples_in_one_pixel_stay_in_the_budget(tmp_path, order):
     assert (code, stderr) == (0, "")
     assert most - base <= 96 + NOISE_M
     # Of two hues one is left, and it is that of a label.
+    red, green, blue, alpha = pixels_of(tmp_path / "out.exr")[2, 3]
+    assert alpha > 0.99
+    strong, weak = max(red, blue), min(red, blue)
+    assert (green - weak) / (strong - weak) == pytest.approx(0.05 if red > blue else 0.1, abs=0.01)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("by", engine.NAMES)
+def test_thousands_of_samples_in_one_place_stay_in_the_budget(tmp_path, by):
+    """What they take follows their number, in which there is no step, and not its square."""
+    number, budget = {"kernel": (40_000, 64), "reference": (2000, 160)}[by]
+    env = {engine.VARIABLE: by}
+    deepfile.write(tmp_path / "tiny.exr", skewed(3, apart=False))
+    deepfile.write(tmp_path / "a.exr", skewed(number, apart=False))
+    how = ["-o", tmp_path / "out.exr", "--depth", "float"]
+    base, *_ = peak("flatten", tmp_path / "tiny.exr", *how, env=env)
+    most, code, stderr = peak("flatten", tmp_path / "a.exr", *how, "--max-memory", f"{budget}M", env=env)
+    assert (code, stderr) == (0, "")
+    assert most - base <= budget + NOISE_M
     red, green, blue, alpha = pixels_of(tmp_path / "out.exr")[2, 3]
     assert alpha > 0.99
     strong, weak = max(red, blue), min(red, blue)
@@ -536,7 +555,7 @@ def test_python_takes_one_file_or_several_and_says_what_it_wrote(desk):
 
 @pytest.mark.parametrize("volume", [False, True])
 def test_many_samples_in_one_place_keep_a_hue_of_its_own_in_whatever_order(tmp_path, volume):
-    """More samples than are added at once: two shades of red, and as many of a weaker blue."""
+    """More samples than pixels have side by side: two shades of red, and as many of a weaker blue."""
     rng = np.random.default_rng(0)
     samples = []
     for number in range(200):

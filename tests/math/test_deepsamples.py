@@ -239,6 +239,128 @@ def test_foremost_adds_in_one_place_as_hue_preserving_does():
     (found,) = flattened([weak, strong, behind], blending="foremost")
     green = oracle.difference((0, 1, 0))
     assert oracle.angle(green, oracle.difference(tuple(map(float, found[:3])))) < 1e-3
+    for n in MANY:
+        alike = [flattened(coincident(n), blending=b) for b in ("foremost", "hue-preserving")]
+        assert alike[0].tobytes() == alike[1].tobytes()
+
+
+# ---- many in one place ----------------------------------------------------------------------
+
+
+#: Around where pixels are no longer added side by side, and where pairs are no longer tabled.
+MANY = (2, 31, 32, 33, 34, 64, 65, 100, 200)
+HUES_OF_MANY = {
+    "labels": lambda rng, n: rng.choice([0, 120, 240], n),
+    "anywhere": lambda rng, n: rng.uniform(0, 360, n),
+    "a band": lambda rng, n: rng.uniform(10, 17, n),  # within the shoulders of each other
+}
+
+
+def coincident(n, hues="labels", *, volumes=False, seed=0):
+    """(n) samples in one place, whose alphas add up to about a half."""
+    rng = np.random.default_rng([seed, n])
+    alphas = rng.uniform(0.1, 1, n) * rng.choice([1, 1e-3], n)
+    alphas *= 0.7 / alphas.sum()
+    back = 3.0 if volumes else 1.0
+    return [
+        (*oracle.scaled(a, valid_color(h, rng.uniform(0.2, 1), 0.4)), float(a), 1.0, back)
+        for a, h in zip(alphas, HUES_OF_MANY[hues](rng, n).tolist(), strict=True)
+    ]
+
+
+def stored(samples):
+    """As float32 holds them."""
+    return [tuple(float(np.float32(value)) for value in sample) for sample in samples]
+
+
+@pytest.mark.pairwise
+@pytest.mark.parametrize("volumes", [False, True])
+@pytest.mark.parametrize("hues", HUES_OF_MANY)
+@pytest.mark.parametrize("blending", [name for name in BLENDING_NAMES if name != "foremost"])
+@pytest.mark.parametrize("n", MANY)
+def test_many_in_one_place_are_those_of_the_document_and_the_paper(
+    monkeypatch, n, blending, hues, volumes
+):
+    behind = (0.0, 0.25, 0.125, 0.5, 4.0, 4.0)
+    pixel = [*stored(coincident(n, hues, volumes=volumes)), behind]
+    wanted = deeporacle.flat(pixel, blending)
+    for name in engine.NAMES:
+        monkeypatch.setenv(engine.VARIABLE, name)
+        (found,) = flattened(pixel, blending=blending)
+        assert np.abs(found - wanted).max() < ROUNDING, name
+
+
+#: What is hardly there, beside colours of 0.01 and more: of a hue that the others have and of one
+#: that none has, weaker still, without alpha, black, and nothing at all.
+VANISHING = {
+    "of a hue": (0.0, 1e-7, 0.0, 1e-7),
+    "of a hue of its own": (1e-7, 1e-7, 0.0, 1e-7),
+    "weaker": (0.0, 0.0, 1e-12, 1e-12),
+    "without alpha": (0.0, 1e-7, 0.0, 0.0),
+    "black": (0.0, 0.0, 0.0, 1e-7),
+    "nothing": (0.0, 0.0, 0.0, 0.0),
+}
+
+
+@pytest.mark.pairwise
+@pytest.mark.usefixtures("by_each_engine")
+@pytest.mark.parametrize("kind", VANISHING)
+@pytest.mark.parametrize("order", ORDER_NAMES)
+def test_a_vanishing_sample_changes_nothing_at_any_number(order, kind):
+    more = (*VANISHING[kind], 1.0, 1.0)
+    for n in MANY:
+        pixel = coincident(n)
+        for times in (1, 40):
+            found = flattened(pixel, [*pixel, *[more] * times], order=order)
+            assert np.abs(found[1] - found[0]).max() < times * 1e-6, (n, times)
+
+
+@pytest.mark.usefixtures("by_each_engine")
+def test_a_strong_label_among_many_keeps_its_hue():
+    """Of reds, greens and blues 16 : 8 : 8 red is left, with and without what is hardly there."""
+    c = 0.02
+    reds, greens, blues = ((*oracle.scaled(c, rgb), c, 1.0, 1.0) for rgb in np.eye(3).tolist())
+    pixel = [reds] * 16 + [greens] * 8 + [blues] * 8
+    found = flattened(pixel, [*pixel, (0.0, 1e-7, 0.0, 1e-7, 1.0, 1.0)])
+    assert np.abs(found[1] - found[0]).max() < 1e-6
+    red, green, blue, _ = found[1]
+    assert red > 1.5 * green
+    assert abs(green - blue) < 1e-6
+
+
+@pytest.mark.usefixtures("by_each_engine")
+@pytest.mark.parametrize("n", MANY)
+def test_a_sample_among_nothing_is_what_it_was(n):
+    sample = (0.25, 0.125, 0.0, 0.5)
+    pixel = [(*sample, 1.0, 1.0), *[(0.0, 0.0, 0.0, 0.0, 1.0, 1.0)] * (n - 1)]
+    (found,) = flattened(pixel)
+    assert np.abs(found - sample).max() < 1e-7
+
+
+@pytest.mark.usefixtures("by_each_engine")
+@pytest.mark.parametrize("n", MANY)
+def test_the_order_of_many_samples_changes_no_bit(n):
+    pixel = [*coincident(n, "anywhere"), (0.0, 0.0, 0.0, 0.0, 1.0, 1.0)]
+    shuffled = [pixel[i] for i in np.random.default_rng(n).permutation(len(pixel))]
+    for blending in BLENDING_NAMES:
+        found = flattened(pixel, shuffled, blending=blending)
+        assert found[0].tobytes() == found[1].tobytes()
+
+
+@pytest.mark.pairwise
+@pytest.mark.parametrize("gray_bias", [0, 0.4])
+@pytest.mark.parametrize("hue_tolerance", [0, 2, 30])
+@pytest.mark.parametrize("space", ["linear-rgb", "xyz", "hsl", "oklab", "cielab"])
+@pytest.mark.parametrize("hues", HUES_OF_MANY)
+@pytest.mark.parametrize("n", [32, 33, 65, 200])
+def test_engines_agree_on_many_in_one_place(monkeypatch, n, hues, space, hue_tolerance, gray_bias):
+    pixels = [coincident(n, hues, seed=seed) for seed in range(3)]
+    rules = stack_rules(1, space=space, hue_tolerance=hue_tolerance, gray_bias=gray_bias)
+    found = []
+    for name in engine.NAMES:
+        monkeypatch.setenv(engine.VARIABLE, name)
+        found.append(flat(of_pixels(*pixels), rules, "float", Losses(), REC709))
+    assert np.abs(found[1] - found[0]).max() < (ROUNDING if rules.space.linear else 2e-4)
 
 
 # ---- many pixels ----------------------------------------------------------------------------

@@ -1157,6 +1157,27 @@ class TestBinding:
             with refused():
                 kind()
 
+    @pytest.mark.parametrize(
+        "changed",
+        [
+            *({"counts": np.array(counts)} for counts in ([3], [3, 3], [-1, 6], [2**62, 2**62], [[3, 2]], [3.0, 2.0])),
+            *({"p": p} for p in (np.ones((5, 2)), np.ones(5), np.ones((2, 5), np.float32), np.ones((2, 10))[:, ::2])),
+            *({"kept": kept} for kept in (np.empty(4), np.empty((1, 5)), np.empty(5, np.float32), None)),
+            {"p": unaligned("f8", (2, 5))}, {"kept": unaligned("f8", (5,))},
+            {"counts": unaligned("i8", (2,))}, {"rules": None},
+            {"rules": make_rules(blending=_kernel.Blending.FOREMOST)},
+        ],
+        ids=str,
+    )  # fmt: skip
+    def test_runs(self, changed):
+        right = {
+            "rules": make_rules(), "counts": np.array([3, 2]), "p": np.ones((2, 5)),
+            "kept": np.empty(5),
+        }  # fmt: skip
+        _kernel.keep_runs(**right)
+        with refused():
+            _kernel.keep_runs(**{**right, **changed})
+
     def test_keywords_alone_are_taken(self):
         """No argument has a place, none is left out, and none is of another name."""
         calls = {
@@ -1164,6 +1185,11 @@ class TestBinding:
             _kernel.background: BACKGROUND,
             _kernel.codes: {**CODES_8, **CODES, "space": make_maps()},
             _kernel.scratch_bytes: {"order": BALANCED, "layers": 3},
+            _kernel.run_bytes: {"terms": 3},
+            _kernel.keep_runs: {
+                "rules": make_rules(), "counts": np.array([3, 0, 2]), "p": np.ones((2, 5)),
+                "kept": np.empty(5),
+            },
         }
         for call, arguments in calls.items():
             call(**arguments)

@@ -11,6 +11,7 @@ from command import PATIENCE_S
 from engines import run_arrays, strips_of
 from strategies import color_of, hue_direction
 
+from hpcomp.blending import addition
 from hpcomp.engine import choice as engine
 from hpcomp.engine import reference
 from hpcomp.kernel import _kernel
@@ -97,6 +98,50 @@ def test_thousands_of_terms(kind, hue_tolerance):
     assert np.abs(p[:, 0] - expected).max() <= 1e-5 * np.hypot(*terms).sum()
 
 
+@pytest.mark.parametrize("at_once", [1, 70 * 9, 1 << 20])
+@pytest.mark.parametrize("gray_bias", [0, 0.4])
+@pytest.mark.parametrize("hue_tolerance", [0, 2, 60])
+@pytest.mark.parametrize("kind", ["anywhere", "labels", "a band", "one"])
+def test_the_strongest_rivals_are_those_of_the_table(
+    monkeypatch, kind, hue_tolerance, gray_bias, at_once
+):
+    """However many shoulders are tabled at a time."""
+    layers = many_terms(hues_of(kind, 70)[:, :1], 1)
+    _, terms = stack_rules(1).space.forward(layers[:, 0, 0, :3].T.astype(float))
+    table = addition.rivalry(terms.T[..., None], hue_tolerance, gray_bias)[..., 0]
+    monkeypatch.setattr(addition, "SHOULDERS_AT_ONCE", at_once)
+    share, rival = addition.strongest_rivals(terms, hue_tolerance, gray_bias)
+    assert np.abs(share - table.max(axis=1)).max() < 1e-9
+    assert np.abs(table[np.arange(70), rival] - table.max(axis=1)).max() < 1e-9
+
+
+@pytest.mark.parametrize("blending", ["hue-preserving", "traditional"])
+@pytest.mark.parametrize("size", [1e-30, 1, 1e30])
+def test_runs_of_any_length(blending, size):
+    """Also of none and of terms without chroma: each run by itself, in both engines."""
+    counts = np.array([0, 1, 2, 33, 0, 70, 5, 1])
+    layers = many_terms(hues_of("labels", counts.sum())[:, :1], 1)
+    rules = stack_rules(1, blending=blending, order="simultaneous")
+    _, p = rules.space.forward(layers[:, 0, 0, :3].T.astype(float) * size)
+    p[:, ::7] = 0
+    found = [by.ENGINE.keep_runs(rules, counts, p) for by in (kernel, reference)]
+    assert np.abs(found[0] - found[1]).max() <= 1e-6
+    assert all(((kept >= 0) & (kept <= 1)).all() for kept in found)
+    assert all((kept[~p.any(axis=0)] == 1).all() for kept in found)
+    for run, (end, count) in enumerate(zip(np.cumsum(counts), counts, strict=True)):
+        alone = p[:, end - count : end].copy()
+        for kept, by in zip(found, (kernel, reference), strict=True):
+            of_run = by.ENGINE.keep_runs(rules, counts[run : run + 1], alone)
+            assert np.array_equal(of_run, kept[end - count : end])
+
+
+def test_memory_of_the_reference_does_not_follow_the_square_of_the_number_of_terms():
+    rules = stack_rules(1, order="simultaneous")
+    for ask in (lambda n: reference.ENGINE.bytes_to_reduce(rules, n), reference.ENGINE.bytes_to_keep):
+        assert ask(2) < 1000
+        assert ask(100_000) == ask(2000)
+
+
 def test_a_rival_anywhere_on_the_circle_counts():
     """One strong rival, wherever the many others are: at each hue, and across ±180°."""
     rules = stack_rules(41, op="plus", order="simultaneous")
@@ -169,7 +214,8 @@ def test_what_is_no_number_stays_in_its_pixel(value):
     at = int((layers[:, 0, :, 3] > 0).sum(axis=0).argmax())
     layers[70, 0, at, 1] = value
     found = run_arrays(kernel, rules, layers).samples
-    assert np.isnan(found[0, at, :3]).all()
+    assert np.isnan(found[0, at, 1]) if np.isnan(value) else found[0, at, 1] == value
+    assert np.isfinite(found[0, at, ::2]).all()  # it is added there, as all is
     others = np.arange(layers.shape[2]) != at
     assert np.array_equal(found[:, others], whole[:, others])
 
@@ -180,11 +226,11 @@ def test_reports_of_many_terms():
 
 
 def test_memory_grows_as_the_number_of_terms():
-    rules = stack_rules(1, order="simultaneous")
+    rules = stack_rules(2, order="simultaneous")
     one, ten = (kernel.ENGINE.bytes_to_reduce(rules, n) for n in (2000, 20_000))
     assert one > 2000 * 10_000
     assert ten < 10.1 * one
-    assert kernel.ENGINE.bytes_to_reduce(stack_rules(1, order="bottom-up"), 2000) == 0
+    assert kernel.ENGINE.bytes_to_reduce(stack_rules(2, order="bottom-up"), 2000) == 0
     with pytest.raises(TypeError):
         _kernel.scratch_bytes(order="simultaneous", layers=3)
 
@@ -206,6 +252,7 @@ class Missing:
 
 missing = Missing()
 sys.meta_path.insert(0, missing)
+from hpcomp.blending import addition
 from hpcomp.engine import choice as engine
 from hpcomp.options import stack_rules
 with ThreadPoolExecutor(8) as pool:

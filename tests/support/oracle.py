@@ -437,14 +437,15 @@ def simultaneous(terms, hue_tolerance=2.0, gray_bias=0.0):
     n = len(p)
     m = [length(v) for v in p]
     e = [[shoulder(angle(p[i], p[j]), hue_tolerance) for j in range(n)] for i in range(n)]
+    backers = [[k for k in range(n) if e[i][k] > 0] for i in range(n)]
     total = (0.0, 0.0, 0.0)
     for i in range(n):
         strongest = 0.0
         for j in range(n):
             if j == i:
                 continue
-            support_i = sum(e[i][k] * m[k] * (1 - e[j][k]) for k in range(n))
-            support_j = sum(e[j][k] * m[k] * (1 - e[i][k]) for k in range(n))
+            support_i = sum(e[i][k] * m[k] * (1 - e[j][k]) for k in backers[i])
+            support_j = sum(e[j][k] * m[k] * (1 - e[i][k]) for k in backers[j])
             # What j's own hue can hold at most. It vanishes with m_j and counts no terms: n·m_j
             # would let a term of no chroma change the others by changing n.
             cap = sum(min(m[j], m[k]) for k in range(n))
