@@ -80,10 +80,13 @@ class DeepReader:
         self.decoding = interpretation.decoding_of(file, part)
         self._color, self._depth = _channel_names(part, group, self.label)
         raw = RawFile(file.path, file.identity, self.label)
-        layout = layout_of(raw, part.index, self.label)
-        if layout.window != part.data_window:
-            raise InputError(f"{self.label}: cannot be read: its headers contradict each other")
-        self._chunks = DeepChunks(raw, layout, [*self._color, *self._depth], self.label)
+        with contextlib.ExitStack() as failed:
+            failed.callback(raw.close)
+            layout = layout_of(raw, part.index, self.label)
+            if layout.window != part.data_window:
+                raise InputError(f"{self.label}: cannot be read: its headers contradict each other")
+            self._chunks = DeepChunks(raw, layout, [*self._color, *self._depth], self.label)
+            failed.pop_all()
 
     @property
     def window(self) -> Window:

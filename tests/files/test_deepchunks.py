@@ -1,6 +1,8 @@
 """Deep EXR files as they are read: every packing, tiles and parts, what is damaged or missing."""
 
+import contextlib
 import dataclasses
+import os
 import struct
 
 import deepfile
@@ -43,9 +45,9 @@ def samples_of(reader, rows=1000):
 
 def read_whole(path, **options):
     """How many samples there are, as counted before and as read."""
-    reader = reader_of(path, **options)
-    counted = reader.count()
-    counts, *_ = samples_of(reader)
+    with contextlib.closing(reader_of(path, **options)) as reader:
+        counted = reader.count()
+        counts, *_ = samples_of(reader)
     return counted.rows.sum(), counts.sum()
 
 
@@ -206,9 +208,12 @@ def test_flat_files_are_told_where_to_go(tmp_path):
 @pytest.mark.parametrize("tile", [None, (4, 3)])
 @pytest.mark.parametrize("compression", PACKINGS)
 def test_a_truncated_file_is_refused(tmp_path, compression, tile):
+    """And not left open."""
     whole = deepfile.content(noise(9, 7, tile=tile, compression=compression))
-    for size in range(len(whole) // 3, len(whole), len(whole) // 17):
+    before = os.listdir("/dev/fd")
+    for size in range(len(whole) // 9, len(whole), len(whole) // 17):
         refused(whole[:size], tmp_path)
+    assert os.listdir("/dev/fd") == before
 
 
 @pytest.mark.parametrize("tile", [None, (4, 3)])
