@@ -25,7 +25,7 @@ class ExitCode(IntEnum):
 EXIT_CODE_MEANINGS: dict[ExitCode, str] = {
     ExitCode.DONE: "done",
     ExitCode.BUG: "a bug in hpcomp",
-    ExitCode.USAGE: "usage: an unknown option, key or value",
+    ExitCode.USAGE: "usage: no command, or an unknown option, key or value",
     ExitCode.INPUT: "an input cannot be read",
     ExitCode.MISMATCH: "the layers do not fit together, or a policy on pixels refuses them",
     ExitCode.OUTPUT: "an output cannot be written",
@@ -89,22 +89,36 @@ def why(reason: OSError) -> str:
     return (reason.strerror or str(reason)).lower()
 
 
-def unknown_name(kind: str, name: str, valid: Iterable[object]) -> SettingError:
-    """The error of every strict lookup: names what was asked for and lists what there is."""
-    return SettingError(f"unknown {kind} '{name}': choose one of {', '.join(map(str, valid))}")
+def unknown_name(
+    kind: str, name: str, valid: Iterable[object], *, meant: str = "", otherwise: str = ""
+) -> SettingError:
+    """The error of every strict lookup: asks for the nearest of the valid names, lists them all.
 
-
-def unknown_key(kind: str, key: str, valid: Iterable[str]) -> SettingError:
-    """The error of a key that is not known: names the nearest one and lists what there is."""
-    names = list(valid)
-    near = nearest(key, names)
-    hint = f"{near[2:]} Choose" if near else "choose"
-    return SettingError(f"unknown {kind} '{key}': {hint} one of {', '.join(names)}")
+    `meant`: the one that was meant, where it is not the nearest. `otherwise`: what else will do.
+    """
+    names = list(map(str, valid))
+    meant = meant or nearest_name(name, names)
+    hint = f"did you mean '{meant}'? Choose" if meant else "choose"
+    return SettingError(f"unknown {kind} '{name}': {hint} one of {', '.join(names)}{otherwise}")
 
 
 def nearest(name: str, valid: Iterable[str]) -> str:
     """The end of a message that asks for the nearest of the valid names; empty if none is near."""
+    near = nearest_name(name, valid)
+    return f": did you mean '{near}'?" if near else ""
+
+
+def nearest_name(name: str, valid: Iterable[str]) -> str:
+    """The one of the valid names that was probably meant; empty if none is near.
+
+    It begins as the name does, as no other one, or has most letters in common, whatever their case.
+    Of numbers none is near another.
+    """
     import difflib  # where something went wrong
 
-    near = difflib.get_close_matches(name, list(valid), 1)
-    return f": did you mean '{near[0]}'?" if near else ""
+    if not any(map(str.isalpha, name)):
+        return ""
+    names = {valid_name.casefold(): valid_name for valid_name in valid}
+    begin = [other for other in names if other.startswith(name.casefold())]
+    near = begin if len(begin) == 1 else difflib.get_close_matches(name.casefold(), names, 1)
+    return names[near[0]] if near else ""

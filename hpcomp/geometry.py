@@ -75,14 +75,14 @@ def _between(left: int, top: int, right: int, bottom: int) -> Window:
 #: How far from the origin a window may be: pictures are counted in 32-bit numbers.
 FARTHEST = 2**28
 
-_WINDOW = re.compile(r"(\d+)x(\d+)([+-]\d+)([+-]\d+)", re.ASCII)
+_WINDOW = re.compile(r"(\d{1,99})x(\d{1,99})([+-]\d{1,99})([+-]\d{1,99})", re.ASCII)
 
 
 def parse_window(text: str) -> Window:
     """A window from `WxH+X+Y`; `SettingError` otherwise, or where it holds no pixel."""
     match = _WINDOW.fullmatch(text)
     if not match:
-        raise SettingError(f"'{text}' is not a window: write WxH+X+Y, such as 640x480+0+0")
+        raise SettingError(f"'{text}' is not a window: write WxH+X+Y, {_window_like(text)}")
     width, height, x, y = map(int, match.groups())
     if not width or not height:
         raise SettingError(f"window '{text}' holds no pixel: give it a width and a height")
@@ -102,9 +102,10 @@ def parse_canvas(canvas: str | Window) -> str | Window:
     try:
         return parse_window(canvas)
     except SettingError:
-        raise SettingError(
-            f"unknown canvas '{canvas}': choose one of {', '.join(CANVASES)}, or WxH+X+Y"
-        ) from None
+        if _WINDOW.fullmatch(canvas):
+            raise
+        window = f", or WxH+X+Y, {_window_like(canvas)}"
+        raise unknown_name("canvas", canvas, CANVASES, otherwise=window) from None
 
 
 #: Where in a reference window a layer sits: its share of the free space to the left and above.
@@ -143,7 +144,7 @@ class Placement:
         )
 
 
-_PLACEMENT = re.compile(r"([a-z-]*[a-z])?(?:([+-]\d+)([+-]\d+))?", re.ASCII)
+_PLACEMENT = re.compile(r"([a-z-]*[a-z])?(?:([+-]\d{1,99})([+-]\d{1,99}))?", re.ASCII)
 
 
 def parse_placement(text: str) -> Placement:
@@ -153,12 +154,61 @@ def parse_placement(text: str) -> Placement:
     """
     match = _PLACEMENT.fullmatch(text)
     if not match or not text:
-        raise SettingError(
-            f"'{text}' is not a place: write +X+Y, or a gravity such as center or south+0-10"
-        )
+        raise SettingError(f"'{text}' is not a place: write {_place_like(text)}")
     gravity, x, y = match.groups()
     if gravity is not None and gravity not in GRAVITIES:
-        raise unknown_name("gravity", gravity, GRAVITIES)
+        raise unknown_name("gravity", gravity, GRAVITIES, meant=_gravity_like(gravity))
     if max(abs(int(x or 0)), abs(int(y or 0))) > FARTHEST:
         raise SettingError(f"place '{text}' is beyond {FARTHEST} pixels")
     return Placement(gravity, int(x or 0), int(y or 0))
+
+
+# --- what was probably meant by another spelling --------------------------------------------------
+
+_SIZE = re.compile(r"([1-9][0-9]{0,8}) *[xX×*] *([1-9][0-9]{0,8})(?![0-9])")
+_INTEGER = re.compile(r"[+-]?[0-9]{1,9}(?![0-9])")
+#: What people write between the numbers of a window or a place.
+_BETWEEN = re.compile(r"[\s+,;:@xX×*-]*")
+
+
+def _window_like(text: str) -> str:
+    """The window that was probably meant, as the end of a message; any window if that is none."""
+    size = _SIZE.search(text)
+    beside = integers(_SIZE.sub(" ", text, count=1))
+    numbers = integers(text) or []
+    if size and beside is not None and len(beside) in (0, 2):
+        return f"such as {Window(*(beside or (0, 0)), *map(int, size.groups()))}"
+    if len(numbers) == 4 and min(numbers[2:]) > 0:
+        x, y, width, height = numbers
+        return f"such as {Window(*numbers)} for the corner {x},{y} and the size {width}x{height}"
+    return "such as 640x480+0+0"
+
+
+def integers(text: str) -> list[int] | None:
+    """The whole numbers of a text; None where it has more than these and what parts them."""
+    if not _BETWEEN.fullmatch(_INTEGER.sub(" ", text)):
+        return None
+    return [int(number) for number in _INTEGER.findall(text)]
+
+
+#: What the sides of a picture are called elsewhere.
+_SIDES = {"top": "north", "upper": "north", "bottom": "south", "lower": "south", "left": "west",
+          "right": "east", "middle": "center", "centre": "center"}  # fmt: skip
+
+
+def _place_like(text: str) -> str:
+    """The place that was probably meant; any place if that is none."""
+    gravity, rest = re.fullmatch(r"\s*([A-Za-z -]*[A-Za-z])?(.*)", text, re.DOTALL).groups()  # type: ignore[union-attr]
+    numbers = integers(_SIZE.sub(" ", rest, count=1)) or integers(rest) or []
+    offset = f"{numbers[0]:+d}{numbers[1]:+d}" if len(numbers) == 2 else ""
+    name = gravity and (gravity if gravity in GRAVITIES else _gravity_like(gravity))
+    if (offset and not gravity) or (name and (offset or not rest)):
+        return f"{name or ''}{offset}"
+    return "+X+Y, or a gravity such as center or south+0-10"
+
+
+def _gravity_like(name: str) -> str:
+    """The gravity that says the same in other words; empty if they are none."""
+    words = [_SIDES.get(word, word) for word in re.split(r"[\s_-]+", name.lower())]
+    said = {"".join(words), "".join(words[::-1])}
+    return next((gravity for gravity in GRAVITIES if gravity.replace("-", "") in said), "")

@@ -25,7 +25,7 @@ from ..color.planes import is_saturated, length, spread_and_size
 from ..color.primaries import working_primaries
 from ..color.samples import Decoding, Rgba, Samples, Strip, decode, linear_rgba, part_of, spread
 from ..color.spaces import Space
-from ..errors import MismatchError, SettingError
+from ..errors import MismatchError, SettingError, nearest
 from ..geometry import Window
 from ..imagefile.reading import STRIP_ROWS, LayerReader
 from ..imagefile.source import codec_threads
@@ -232,7 +232,9 @@ def _layer_label(wanted: str, specs: Sequence[LayerSpec]) -> ExpectedHue:
     if len(named) != 1:
         there_is = ", ".join(spec.label(n) for n, spec in enumerate(specs)) or "none: name LAYERs"
         problem = "is not one of the layers" if not named else "fits several layers"
-        raise SettingError(f"label 'layer:{wanted}' {problem}: there is {there_is}")
+        names = [spec.name or PurePath(spec.path).stem for spec in specs]
+        near = "" if named else nearest(wanted, names).replace(":", ";")
+        raise SettingError(f"label 'layer:{wanted}' {problem}: there is {there_is}{near}")
     return ExpectedHue(specs[named[0]].label(named[0]), named[0], None)
 
 

@@ -20,7 +20,7 @@ from ..color.quantization import Losses
 from ..color.samples import OUTPUT_TYPES, Rgba, Strip, linear_rgba, spread
 from ..engine import choice as engine
 from ..errors import MismatchError, SettingError
-from ..geometry import FARTHEST, Window
+from ..geometry import FARTHEST, Window, integers
 from ..imagefile.source import codec_threads
 from ..layers.budget import THREAD_BYTES, Budget, share_out
 from ..layers.canvas import output_window
@@ -167,7 +167,9 @@ def parse_pixel(text: str) -> tuple[int, int]:
     try:
         x, y = (int(number) for number in text.split(","))
     except ValueError:
-        raise SettingError(f"'{text}' is not a pixel: write X,Y, such as 120,45") from None
+        numbers = integers(text) or ()
+        example = ",".join(map(str, numbers)) if len(numbers) == 2 else "120,45"
+        raise SettingError(f"'{text}' is not a pixel: write X,Y, such as {example}") from None
     if max(abs(x), abs(y)) > FARTHEST:
         raise SettingError(f"pixel '{text}' is beyond {FARTHEST} pixels")
     return x, y

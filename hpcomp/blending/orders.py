@@ -5,12 +5,13 @@ The stacking order decides the weights of the terms, the blend order only how th
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import re
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import reduce
 from typing import Any
 
-from ..errors import SettingError
+from ..errors import SettingError, unknown_name
 
 #: Reduces terms, bottom first, given how two of them add and how all do at once. A term is anything
 #: that adds: p (2, …), a `terms.Term` or what else.
@@ -63,16 +64,22 @@ ORDERS: dict[str, Order] = {
 def _permutation(sequence: Sequence[int], n_layers: int) -> Order:
     """A left fold in an explicit order of the layers' numbers, 0 being the bottom."""
     if sorted(sequence) != list(range(n_layers)):
+        counted_from_1 = sorted(sequence) == list(range(1, n_layers + 1))
+        hint = f": write {_written(n - 1 for n in sequence)}" if counted_from_1 else ""
         raise SettingError(
-            f"order {','.join(map(str, sequence))} is not a permutation: name each of the layers "
-            f"0 to {n_layers - 1} exactly once"
+            f"order {_written(sequence)} is not a permutation: name each of the layers 0 to "
+            f"{n_layers - 1} exactly once, 0 being the bottom{hint}"
         )
     numbers = tuple(int(number) for number in sequence)
 
     def reduce_permuted(terms: Any, add: Any, add_all: Any) -> Any:
         return reduce(add, (terms[number] for number in numbers))
 
-    return Order(",".join(map(str, numbers)), reduce_permuted, numbers)
+    return Order(_written(numbers), reduce_permuted, numbers)
+
+
+def _written(sequence: Iterable[int]) -> str:
+    return ",".join(map(str, sequence))
 
 
 def order(name: str | Sequence[int], n_layers: int) -> Order:
@@ -81,15 +88,25 @@ def order(name: str | Sequence[int], n_layers: int) -> Order:
     Errors: `SettingError` for an unknown name, listing the valid ones, and for a sequence that
     does not name each of the `n_layers` layers once.
     """
-    if not isinstance(name, str):
-        return _permutation(name, n_layers)
-    if name in ORDERS:
-        return ORDERS[name]
+    wanted = check_order(name)
+    return ORDERS[wanted] if isinstance(wanted, str) else _permutation(wanted, n_layers)
+
+
+def check_order(name: str | Sequence[int]) -> str | Sequence[int]:
+    """A name as it is, or the numbers of a permutation, of whatever number of layers.
+
+    Errors: `SettingError` as `order`.
+    """
+    if not isinstance(name, str) or name in ORDERS:
+        return name
     try:
-        numbers = [int(number) for number in name.split(",")]
+        return [int(number) for number in name.split(",")]
     except ValueError:
-        raise SettingError(
-            f"unknown order '{name}': choose one of {', '.join(ORDERS)}, "
-            "or a permutation of the layers such as 2,0,1"
+        numbers = re.split(r"[\s,;:<>-]+", name.strip("[]() "))
+        example = ",".join(numbers) if all(map(str.isdecimal, numbers)) else "2,0,1"
+        raise unknown_name(
+            "order",
+            name,
+            ORDERS,
+            otherwise=f", or a permutation of the layers such as {example}",
         ) from None
-    return _permutation(numbers, n_layers)

@@ -7,7 +7,7 @@ import sys
 
 import click
 
-from ..errors import EXIT_CODE_MEANINGS, ExitCode, HpcompError, SettingError
+from ..errors import EXIT_CODE_MEANINGS, ExitCode, HpcompError, SettingError, unknown_name
 from ..version import __version__
 from . import signals
 from .messages import keep_libraries_off_stderr, open_standard_streams, say
@@ -26,6 +26,10 @@ COMMANDS: dict[str, tuple[str, str]] = {
 }
 
 
+#: What a shell sets in the environment to have a command line completed.
+COMPLETING = "_HPCOMP_COMPLETE"
+
+
 class LazyGroup(click.Group):
     """A group whose commands are imported when they are called: `--help` imports click alone."""
 
@@ -37,6 +41,25 @@ class LazyGroup(click.Group):
             return None
         command: click.Command = signals.load(f"{__name__}.{COMMANDS[name][0]}").command
         return command
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        if not args and not ctx.resilient_parsing:
+            # As click's own groups since its version 8.2, whichever version this is.
+            click.echo(ctx.get_help(), err=True)
+            ctx.exit(int(ExitCode.USAGE))
+        try:
+            return super().parse_args(ctx, args)
+        except click.NoSuchOption as error:
+            raise signals.load(f"{__name__}.options").unknown_option(
+                self, ctx, error.option_name
+            ) from None
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        if args[0] not in COMMANDS and not ctx.resilient_parsing:
+            raise click.UsageError(str(unknown_name("command", args[0], COMMANDS)), ctx)
+        return super().resolve_command(ctx, args)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         with formatter.section("Commands"):
@@ -104,7 +127,9 @@ def _exit_code(arguments: list[str], debug: bool) -> int:
     try:
         signals.install()
         # A command that calls ctx.exit() makes its code the result of main().
-        code = cli.main(arguments, prog_name="hpcomp", standalone_mode=False)
+        code = cli.main(
+            arguments, prog_name="hpcomp", complete_var=COMPLETING, standalone_mode=False
+        )
         return code if isinstance(code, int) else ExitCode.DONE
     except click.UsageError as error:
         if error.ctx is not None:
@@ -121,8 +146,15 @@ def _exit_code(arguments: list[str], debug: bool) -> int:
         return ExitCode.INTERRUPTED
     except signals.Terminated:
         return ExitCode.TERMINATED
-    except (BrokenPipeError, SystemExit):
-        raise BrokenPipeError from None  # SystemExit is click's own answer to a closed pipe
+    except SystemExit as end:  # click's own answer: to a shell that completes, or to a closed pipe
+        if not os.environ.get(COMPLETING):
+            raise BrokenPipeError from None
+        if end.code:
+            say(f"hpcomp: error: {COMPLETING} is not bash, zsh or fish, then _complete or _source")
+            return ExitCode.USAGE
+        return ExitCode.DONE
+    except BrokenPipeError:
+        raise
     except Exception as error:
         if debug:
             raise

@@ -11,7 +11,7 @@ import click
 
 from ..errors import ExitCode, HpcompError
 from .messages import say
-from .options import Command, at_a_time, is_quiet, message_options, print_data
+from .options import Choice, Command, at_a_time, is_quiet, message_options, print_data
 from .progress import Progress
 from .signals import load
 from .stackoptions import make_options, stack_options
@@ -48,7 +48,7 @@ def _print_schema(ctx: click.Context, param: click.Parameter, value: bool) -> No
 @click.argument("jobs", metavar="JOBS", type=click.Path(readable=False))
 @click.option(
     "--format",
-    type=click.Choice(["toml", "json", "jsonl", "csv"]),
+    type=Choice(["toml", "json", "jsonl", "csv"], "format of jobs"),
     help="Format of JOBS, whatever its ending.",
 )
 @at_a_time("Jobs at a time, each on a core: all cores if not given, but so that each job has 128M.")

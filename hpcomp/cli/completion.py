@@ -5,11 +5,11 @@ from __future__ import annotations
 import click
 from click.shell_completion import get_completion_class
 
-from .options import Command, print_data
+from .options import Choice, Command, print_data
 
 
 @click.command("completion", cls=Command, short_help="Print the completion script of a shell.")
-@click.argument("shell", type=click.Choice(["bash", "zsh", "fish"]))
+@click.argument("shell", type=Choice(["bash", "zsh", "fish"], "shell"))
 def command(shell: str) -> None:
     """Print the completion script of a shell.
 
@@ -18,8 +18,8 @@ def command(shell: str) -> None:
       zsh   eval "$(hpcomp completion zsh)" in ~/.zshrc
       fish  hpcomp completion fish > ~/.config/fish/completions/hpcomp.fish
     """
-    from . import cli
+    from . import COMPLETING, cli
 
     kind = get_completion_class(shell)
     assert kind is not None
-    print_data(kind(cli, {}, "hpcomp", "_HPCOMP_COMPLETE").source())
+    print_data(kind(cli, {}, "hpcomp", COMPLETING).source())

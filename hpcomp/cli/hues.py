@@ -17,7 +17,7 @@ from ..system.outputs import write_bytes
 from ..system.streams import STDOUT
 from . import terminal
 from .messages import say
-from .options import LayerCommand, message_options, print_bytes
+from .options import Choice, LayerCommand, message_options, print_bytes
 from .reportoptions import WRITING, opened_report, report_options
 from .signals import load
 from .stackoptions import make_options, stack_options
@@ -75,21 +75,21 @@ formats:
 )
 @click.option(
     "--weight",
-    type=click.Choice(list(WEIGHTS)),
+    type=Choice(WEIGHTS, "weight"),
     default=WEIGHTS[0],
     show_default=True,
     help="What the bars of text and figures are shares of: pixels, their chroma or their alpha.",
 )
 @click.option(
     "--scale",
-    type=click.Choice(list(SCALES)),
+    type=Choice(SCALES, "scale"),
     default=Look.scale,
     show_default=True,
     help="Scale of the bars of text and figures.",
 )
 @click.option(
     "--axes",
-    type=click.Choice(list(AXES)),
+    type=Choice(AXES, "axes"),
     default=Look.axes,
     show_default=True,
     help="Axes of a figure: straight, round, or both.",

@@ -5,12 +5,12 @@ from __future__ import annotations
 import logging
 import sys
 import warnings
-from collections.abc import Callable
-from typing import Any, TypeVar
+from collections.abc import Callable, Iterable
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from ..errors import HpcompWarning, SettingError
+from ..errors import HpcompWarning, SettingError, nearest_name, unknown_name
 from ..system.outputs import writing
 from ..system.streams import stdout_bytes
 from .messages import say
@@ -25,8 +25,15 @@ class Command(click.Command):
     """A command whose wrong settings, wherever they are found, end as usage errors."""
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        options = long_options(self, ctx)
+        for word in args[: args.index("--")] if "--" in args else args:
+            # As other programs have them; -order would be -o with the value rder.
+            if len(word) > 2 and f"-{word.partition('=')[0]}" in options:
+                raise unknown_option(self, ctx, word)
         try:
             return super().parse_args(ctx, args)
+        except click.NoSuchOption as error:
+            raise unknown_option(self, ctx, error.option_name) from None
         except click.UsageError as error:
             error.ctx = error.ctx or ctx  # the parser does not know the command
             raise
@@ -36,6 +43,36 @@ class Command(click.Command):
             return super().invoke(ctx)
         except SettingError as error:
             raise click.UsageError(str(error), ctx) from error
+
+
+def long_options(command: click.Command, ctx: click.Context) -> set[str]:
+    """The options that a command takes, by their long names."""
+    return {
+        name
+        for option in command.get_params(ctx)
+        for name in (*option.opts, *option.secondary_opts)
+        if name.startswith("--")
+    }
+
+
+def unknown_option(command: click.Command, ctx: click.Context, option: str) -> click.UsageError:
+    """The error of an option that a command does not take, with the one that was meant."""
+    from ..layers.layerspec import LAYER_KEYS  # with tables that not all commands need
+
+    name = option.partition("=")[0].lstrip("-")
+    shown = {
+        shown[2:]
+        for param in command.get_params(ctx)
+        if isinstance(param, click.Option) and not param.hidden
+        for shown in (*shown_names(param), *param.secondary_opts)
+        if shown.startswith("--")
+    }
+    if name in LAYER_KEYS and isinstance(command, LayerCommand) and name not in shown:
+        hint = f": it is a setting of one layer: write LAYER::{name}=…"
+    else:
+        near = nearest_name(name, shown) if len(option) > 2 else ""
+        hint = f": did you mean '--{near}'?" if near else f": see {ctx.command_path} --help"
+    return click.UsageError(f"unknown option '{option.partition('=')[0]}'{hint}", ctx)
 
 
 class LayerCommand(Command):
@@ -115,9 +152,31 @@ def shown_names(option: click.Option) -> list[str]:
     return option.opts[:1] if isinstance(option, OptionOfOlderName) else option.opts
 
 
+if TYPE_CHECKING:
+    _Choice = click.Choice[str]
+else:
+    _Choice = click.Choice  # which click before 8.2 cannot be asked what it is of
+
+
+class Choice(_Choice):
+    """Names to choose from, one of which is asked for where another was given.
+
+    `noun`: what errors call what is chosen.
+    """
+
+    def __init__(self, names: Iterable[str], noun: str) -> None:
+        super().__init__(tuple(names))
+        self.noun = noun
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
+        if value not in self.choices:
+            self.fail(str(unknown_name(self.noun, value, self.choices)), param, ctx)
+        return str(value)
+
+
 format_option = click.option(
     "--format",
-    type=click.Choice(["text", "json"]),
+    type=Choice(["text", "json"], "format"),
     default="text",
     show_default=True,
     help="What to print.",

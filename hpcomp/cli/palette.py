@@ -21,7 +21,7 @@ from ..system.outputs import write_bytes
 from ..system.streams import STDOUT
 from . import signals, terminal
 from .messages import say
-from .options import F, LayerCommand, OptionOfOlderName, message_options, print_bytes
+from .options import Choice, F, LayerCommand, OptionOfOlderName, message_options, print_bytes
 from .reportoptions import WRITING, opened_report, report_options
 from .stackoptions import make_options, stack_options
 
@@ -94,7 +94,7 @@ def _limit(*names: str, default: float, metavar: str, help: str) -> Callable[[F]
 @report_options(PALETTE_FORMATS)
 @click.option(
     "--figure",
-    type=click.Choice(list(FIGURES)),
+    type=Choice(FIGURES, "figure"),
     default=PaletteLook.figure,
     show_default=True,
     help="Parts of a figure: all, or the bars or the discs alone.",

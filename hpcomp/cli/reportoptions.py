@@ -11,7 +11,7 @@ from ..report.hueformats import ReportFormat
 from ..system.depfile import Depfile
 from ..system.outputs import check_places, whole_output
 from ..system.streams import STDOUT
-from .options import F
+from .options import Choice, F
 
 
 def report_options(formats: Mapping[str, ReportFormat]) -> Callable[[F], F]:
@@ -20,7 +20,7 @@ def report_options(formats: Mapping[str, ReportFormat]) -> Callable[[F], F]:
     def decorate(function: F) -> F:
         function = click.option(
             "--format",
-            type=click.Choice(list(formats)),
+            type=Choice(formats, "format"),
             help="Format of the report, whatever the ending; text on stdout if not given.",
         )(function)
         return click.option(

@@ -12,7 +12,7 @@ import click
 
 from ..measures.defaults import DEFAULT_ACHROMATIC
 from ..options import OPTIONS, NamedOption
-from .options import F
+from .options import Choice, F
 
 
 def _click_option(row: NamedOption, help: str | None, hidden: bool) -> Callable[[F], F]:
@@ -31,7 +31,7 @@ def _click_option(row: NamedOption, help: str | None, hidden: bool) -> Callable[
     if option.is_path:
         how["type"] = click.Path(readable=False)
     elif option.choices:
-        how["type"] = click.Choice(option.choices)
+        how["type"] = Choice(option.choices, option.noun or row.name)
     elif option.least is not None:
         how["type"] = click.IntRange(min=option.least)
     elif row.kind is not None:

@@ -75,5 +75,5 @@ def color_space(name: str) -> ColorEncoding:
     """The encoding of that name; `SettingError` lists the valid ones."""
     encoding = COLOR_SPACES.get(name) or COLOR_INTEROP_IDS.get(name)
     if encoding is None:
-        raise unknown_name("colorspace", name, COLOR_SPACES)
+        raise unknown_name("colorspace", name, (*COLOR_SPACES, *COLOR_INTEROP_IDS))
     return encoding

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 from ..color.encodings import ColorEncoding
 from ..color.transfer import HDR_TRANSFERS
-from ..errors import InputError
+from ..errors import InputError, nearest
 from ..geometry import Window
 from .exrscanlines import ExrLayout
 from .pngscanlines import PngLayout
@@ -154,8 +154,7 @@ def choose(
     if part is not None:
         parts = [p for p in parts if p.name == part] or [p for p in parts if str(p.index) == part]
         if not parts:
-            there_is = ", ".join(_part_name(p) for p in file.parts)
-            raise InputError(f"{label}: there is no part '{part}': choose part= one of {there_is}")
+            raise InputError(f"{label}: there is no part '{part}'{_part_like(part, file)}")
     flat = [p for p in parts if p.deep == deep]
     if not flat and deep:
         raise InputError(
@@ -174,7 +173,10 @@ def choose(
         if not named:
             there_is = ", ".join(dict.fromkeys(g.layer or "(default)" for _, g in colors))
             there_is = there_is or (f"none, only {channels}" if channels else "none")
-            raise InputError(f"{label}: there is no colour layer '{layer}': there is {there_is}")
+            raise InputError(
+                f"{label}: there is no colour layer '{layer}': there is {there_is}"
+                f"{_layer_like(layer, file, flat)}"
+            )
     else:
         named = [(p, g) for p, g in colors if not g.layer] or colors
         if mask and not named:
@@ -236,3 +238,26 @@ def deep_alpha(part: Part, group: ColorGroup, label: str) -> Channel:
 
 def _part_name(part: Part) -> str:
     return part.name or str(part.index)
+
+
+def _part_like(name: str, file: ImageFile) -> str:
+    """What was probably meant by the name of a part that a file has not, and all that it has."""
+    names = [_part_name(part) for part in file.parts]
+    there_is = f"hoose part= one of {', '.join(names)}"
+    if any(group.layer == name for part in file.parts for group in part.groups):
+        return f", but a layer of that name: write layer={name}, or c{there_is}"
+    near = nearest(name, names)
+    return f"{near} C{there_is}" if near else f": c{there_is}"
+
+
+def _layer_like(name: str, file: ImageFile, chosen: Sequence[Part]) -> str:
+    """What was probably meant by the name of a layer that the chosen parts have not."""
+    if any(part.name == name for part in file.parts):
+        return f", and a part of that name: write part={name}"
+    for part in file.parts:
+        if part not in chosen and any(group.layer == name for group in part.groups):
+            return f"; part {_part_name(part)} has it: write part={_part_name(part)},layer={name}"
+    layers = [group.layer for part in chosen for group in part.groups if group.layer]
+    if (of_channel := name.rpartition(".")[0]) in layers:
+        return f"; '{name}' is a channel: write layer={of_channel}"
+    return nearest(name, layers).replace(":", ";")

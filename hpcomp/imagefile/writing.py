@@ -97,11 +97,17 @@ class OutputForm:
         depth = None if depth is None else str(depth)
         compression = None if compression is None else str(compression)
         for what, value, valid in (
-            ("depth", depth, DEPTHS[format]),
-            ("compression", compression, COMPRESSIONS[format]),
+            ("depth", depth, DEPTHS),
+            ("compression", compression, COMPRESSIONS),
         ):
-            if value is not None and value not in valid:
-                raise unknown_name(f"{format.upper()} {what}", value, valid)
+            if value is not None and value not in valid[format]:
+                others = [other.upper() for other in FORMATS if value in valid[other]]
+                raise unknown_name(
+                    f"{format.upper()} {what}",
+                    value,
+                    valid[format],
+                    otherwise="".join(f"; {value} is for {other}" for other in others),
+                )
         if out_primaries is not None and out_primaries not in OUT_PRIMARIES:
             raise unknown_name("out primaries", out_primaries, OUT_PRIMARIES)
         if out_primaries is not None and format == "exr":

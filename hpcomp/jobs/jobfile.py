@@ -12,7 +12,7 @@ from typing import Any
 
 import msgspec
 
-from ..errors import InputError, SettingError, unknown_key, unknown_name, why
+from ..errors import InputError, SettingError, unknown_name, why
 from ..system.outputs import whole_output, write_bytes, writing
 from ..system.streams import STDIN
 from .lines import Lines, json_keys, toml_keys
@@ -109,7 +109,7 @@ def _document_jobs(
             for key in document:
                 if key not in _DOCUMENT_KEYS:
                     raise MisplacedError(
-                        str(unknown_key("key of a job file", key, _DOCUMENT_KEYS)), document, key
+                        str(unknown_name("key of a job file", key, _DOCUMENT_KEYS)), document, key
                     )
             check_version(document.get("version", SCHEMA_VERSION), document)
             defaults = checked_defaults(document)
@@ -207,7 +207,7 @@ def _csv(label: str, text: str) -> Iterator[Job]:
         for name in head:
             if name not in hints and name != _LAYER_COLUMN:
                 raise SettingError(
-                    f"{label}:1: {unknown_key('column', name, [_LAYER_COLUMN, *hints])}"
+                    f"{label}:1: {unknown_name('column', name, [_LAYER_COLUMN, *hints])}"
                 )
             if name != _LAYER_COLUMN and head.count(name) > 1:
                 raise SettingError(f"{label}:1: column '{name}' stands twice")

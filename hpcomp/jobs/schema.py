@@ -18,7 +18,7 @@ import msgspec
 
 from ..blending.porter_duff import OPERATOR_NAMES
 from ..color.encodings import ALPHA_MODES, COLOR_INTEROP_IDS, COLOR_SPACES
-from ..errors import SettingError, unknown_key
+from ..errors import SettingError, unknown_name
 from ..geometry import Window
 from ..layers.layerspec import LayerSpec, layer_spec
 from ..options import OPTIONS, NamedOption
@@ -266,7 +266,7 @@ def checked_table(table: Mapping[str, Any], keys: Mapping[str, Any], kind: str) 
     for key, value in table.items():
         try:
             if key not in keys:
-                raise unknown_key(kind, key, keys)
+                raise unknown_name(kind, key, keys)
             checked[key] = _checked(key, value, keys[key])
         except SettingError as problem:
             raise MisplacedError(str(problem), table, key) from None

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from ..blending.porter_duff import operator
+from ..blending.porter_duff import OPERATOR_NAMES, operator
 from ..color.css import css_color
-from ..color.encodings import ALPHA_MODES, color_space
+from ..color.encodings import ALPHA_MODES, COLOR_INTEROP_IDS, COLOR_SPACES, color_space
 from ..errors import SettingError, unknown_name
-from ..geometry import Placement, parse_placement
+from ..geometry import GRAVITIES, Placement, parse_placement
+from ..options import OPTIONS
 from ..system.streams import STDIN
 
 
@@ -77,7 +80,9 @@ def _opacity(text: str) -> float:
     try:
         return float(text)
     except ValueError:
-        raise SettingError(f"opacity '{text}' is not a number from 0 to 1") from None
+        raise SettingError(
+            f"opacity '{text}' is not a number from 0 to 1{_opacity_like(text)}"
+        ) from None
 
 
 #: The keys of a LAYER: what turns the text after `=` into the setting.
@@ -91,6 +96,13 @@ LAYER_KEYS: dict[str, Callable[[str], Any]] = {
     "part": str,
     "layer": str,
     "name": str,
+}
+#: Of the keys whose values are names of a table: those names.
+LAYER_NAMES: dict[str, tuple[str, ...]] = {
+    "op": OPERATOR_NAMES,
+    "at": tuple(GRAVITIES),
+    "alpha": ALPHA_MODES,
+    "colorspace": (*COLOR_SPACES, *COLOR_INTEROP_IDS),
 }
 
 
@@ -106,16 +118,56 @@ def parse_layer(text: str) -> LayerSpec:
     if not path:
         raise SettingError(f"'{text}' names no file before its ::")
     values: dict[str, Any] = {}
-    for setting in filter(None, settings.split(",")):
+    for setting in _settings(settings):
         key, equals, value = setting.partition("=")
         if not equals or not value:
-            raise SettingError(f"'{setting}' in '{text}' is not key=value")
+            raise SettingError(f"'{setting}' in '{text}' is not key=value{_setting_like(setting)}")
         if key not in LAYER_KEYS:
+            if key.replace("-", "_") in OPTIONS:
+                raise SettingError(f"'{key}' is an option of the stack: write --{key} {value}")
             raise unknown_name("layer key", key, LAYER_KEYS)
         if key in values:
             raise SettingError(f"key '{key}' stands twice in '{text}'")
         values[key] = LAYER_KEYS[key](value)
     return LayerSpec(path, **values)
+
+
+# --- what was probably meant by another spelling --------------------------------------------------
+
+#: Keys whose values are sometimes written as numbers with commas between them.
+_OF_NUMBERS = ("opacity", "at", "tint")
+_NUMBER = re.compile(r"\s*[+-]?[0-9.]+%?\s*\)?")
+
+
+def _settings(text: str) -> list[str]:
+    """What stands between the commas; numbers stay with the setting that they seem to belong to."""
+    settings: list[str] = []
+    for setting in filter(None, text.split(",")):
+        before = settings[-1].partition("=")[0] if settings else ""
+        if before in _OF_NUMBERS and _NUMBER.fullmatch(setting):
+            settings[-1] += f",{setting}"
+        else:
+            settings.append(setting)
+    return settings
+
+
+def _opacity_like(text: str) -> str:
+    """The opacity that was probably meant, as the end of a message."""
+    with contextlib.suppress(ValueError):
+        number = text.strip().replace(",", ".")
+        value = float(number[:-1]) / 100 if number.endswith("%") else float(number)
+        if 0 <= value <= 1:
+            return f": write {value:g}"
+    return ""
+
+
+def _setting_like(text: str) -> str:
+    """The setting that was probably meant, as the end of a message."""
+    key, colon, value = text.partition(":")
+    if colon and value and key in LAYER_KEYS:
+        return f": write {key}={value}"
+    keys = [key for key, names in LAYER_NAMES.items() if text in names]
+    return f": did you mean {keys[0]}={text}?" if keys else ""
 
 
 def check_stdin(specs: Sequence[LayerSpec], what: str) -> None:

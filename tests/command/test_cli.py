@@ -483,7 +483,6 @@ def test_option_that_an_exr_does_not_have(desk, options, words):
         (["completion", "tcsh"], ["tcsh", "bash", "zsh", "fish"]),
         (["blend", "base.png"], ["blend"]),
         (["--colour"], ["--colour"]),
-        ([], ["command"]),
     ],
     ids=lambda value: " ".join(value) or "nothing",
 )
@@ -1183,6 +1182,31 @@ def test_completion_in_bash(tmp_path, words, expected):
     )  # fmt: skip
     assert done.returncode == 0
     assert done.stdout.split() == [expected]
+
+
+@pytest.mark.parametrize("name", ["bash", "zsh", "fish"])
+@pytest.mark.parametrize("asked", ["complete", "source"])
+def test_a_shell_that_completes_is_told_that_all_is_well(desk, name, asked):
+    env = {"_HPCOMP_COMPLETE": f"{name}_{asked}", "COMP_WORDS": "hpcomp st", "COMP_CWORD": "1"}
+    run = desk.run(env=env, process=True)
+    assert (run.code, run.stderr) == (0, "")
+    assert run.stdout
+    reading, writing = os.pipe()
+    os.close(reading)
+    closed = subprocess.run(
+        command(), stdout=writing, stderr=subprocess.PIPE, env={**os.environ, **env}
+    )
+    os.close(writing)
+    assert (closed.returncode, closed.stderr) == (141, b"")
+
+
+@pytest.mark.parametrize("asked", ["tcsh_complete", "bash_words", "1"])
+def test_a_shell_that_is_not_known(desk, asked):
+    run = desk.run(env={"_HPCOMP_COMPLETE": asked}, process=True)
+    assert (run.code, run.stdout) == (2, b"")
+    assert len(run.lines) == 1
+    for word in ("hpcomp: error: ", "_HPCOMP_COMPLETE", "bash", "zsh", "fish"):
+        assert word in run.stderr
 
 
 # ---- info -----------------------------------------------------------------------------------
