@@ -126,6 +126,8 @@ def _exit_code(arguments: list[str], debug: bool) -> int:
     """Runs the command; what goes wrong becomes one line and an exit code."""
     try:
         signals.install()
+        if os.environ.get(COMPLETING):
+            signals.load(f"{__name__}.completion")  # how each shell wants its words
         # A command that calls ctx.exit() makes its code the result of main().
         code = cli.main(
             arguments, prog_name="hpcomp", complete_var=COMPLETING, standalone_mode=False

@@ -11,10 +11,11 @@ import click
 
 from ..errors import ExitCode, HpcompError
 from .messages import say
-from .options import Choice, Command, at_a_time, is_quiet, message_options, print_data
+from .options import Command, at_a_time, is_quiet, message_options, print_data
 from .progress import Progress
 from .signals import load
 from .stackoptions import make_options, stack_options
+from .words import JOBS, Choice, File
 
 HELP = """Make many stacks, several at a time.
 
@@ -45,7 +46,7 @@ def _print_schema(ctx: click.Context, param: click.Parameter, value: bool) -> No
 
 
 @click.command("batch", cls=Command, help=HELP, short_help=HELP.partition("\n")[0])
-@click.argument("jobs", metavar="JOBS", type=click.Path(readable=False))
+@click.argument("jobs", metavar="JOBS", type=File(*JOBS))
 @click.option(
     "--format",
     type=Choice(["toml", "json", "jsonl", "csv"], "format of jobs"),
@@ -72,14 +73,14 @@ def _print_schema(ctx: click.Context, param: click.Parameter, value: bool) -> No
 @click.option(
     "--state",
     metavar="PATH",
-    type=click.Path(readable=False),
+    type=File(),
     help="Keep here what was done, instead of beside JOBS.",
 )
 @click.option(
     "--log",
     "log_to",
     metavar="PATH",
-    type=click.Path(readable=False),
+    type=File(),
     help="Write a line of JSON for each job; - for stdout. With --resume they are added.",
 )
 @click.option(

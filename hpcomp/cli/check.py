@@ -15,6 +15,7 @@ from .messages import say
 from .options import LayerCommand, OptionOfOlderName, format_option, message_options, print_data
 from .signals import load
 from .stackoptions import NEAR_A_LAYER, depfile_options, other_options, stack_options
+from .words import Layer
 
 #: The options of a stack that change what is measured, and what that may take.
 CHECKED = (
@@ -27,8 +28,8 @@ SHORT_HELP = "Fail if a picture has lost the hues of its layers."
 
 
 @click.command("check", cls=LayerCommand, short_help=SHORT_HELP)
-@click.argument("image", metavar="IMAGE", type=click.Path(readable=False))
-@click.argument("layers", metavar="[LAYER...]", nargs=-1, type=click.Path(readable=False))
+@click.argument("image", metavar="IMAGE", type=Layer("op", "opacity"))
+@click.argument("layers", metavar="[LAYER...]", nargs=-1, type=Layer())
 @click.option(
     "--hues",
     metavar="HUE,HUE...",

@@ -10,6 +10,7 @@ import click
 from .options import LayerCommand, format_option, message_options, print_data
 from .signals import load
 from .stackoptions import NEAR_A_LAYER, other_options, stack_options
+from .words import Layer
 
 #: The options of a stack that change what is said, and what that may take.
 EXPLAINED = (
@@ -26,9 +27,7 @@ SHORT_HELP = "Say step by step how one pixel of a stack comes about."
 
 
 @click.command("explain", cls=LayerCommand, short_help=SHORT_HELP)
-@click.argument(
-    "layers", metavar="LAYER...", nargs=-1, required=True, type=click.Path(readable=False)
-)
+@click.argument("layers", metavar="LAYER...", nargs=-1, required=True, type=Layer())
 @click.option(
     "--at",
     required=True,

@@ -10,6 +10,7 @@ from ..blending.orders import ORDERS
 from .options import LayerCommand, message_options
 from .signals import load
 from .stackoptions import output_option, stack_options
+from .words import Layer
 
 FLATTEN_HELP = """Composite the samples of deep EXR files into one flat picture.
 
@@ -42,7 +43,7 @@ has the channels Z and A, and ZBack if it has volumes. Keys:
     "flatten", cls=LayerCommand, help=FLATTEN_HELP, short_help=FLATTEN_HELP.partition("\n")[0]
 )
 @click.argument(
-    "images", metavar="IMAGE...", nargs=-1, required=True, type=click.Path(readable=False)
+    "images", metavar="IMAGE...", nargs=-1, required=True, type=Layer("op", "opacity", "tint")
 )
 @output_option
 @stack_options(

@@ -17,10 +17,11 @@ from ..system.outputs import write_bytes
 from ..system.streams import STDOUT
 from . import terminal
 from .messages import say
-from .options import Choice, LayerCommand, message_options, print_bytes
+from .options import LayerCommand, message_options, print_bytes
 from .reportoptions import WRITING, opened_report, report_options
 from .signals import load
 from .stackoptions import make_options, stack_options
+from .words import Choice, Layer
 
 _FORMATS = "\n".join(f"  {row.name:<6} {row.title}" for row in REPORT_FORMATS.values())
 
@@ -53,7 +54,7 @@ formats:
 
 @click.command("hues", cls=LayerCommand, help=HUES_HELP, short_help=HUES_HELP.partition("\n")[0])
 @click.argument(
-    "images", metavar="IMAGE...", nargs=-1, required=True, type=click.Path(readable=False)
+    "images", metavar="IMAGE...", nargs=-1, required=True, type=Layer("op", "opacity", "at")
 )
 @report_options(REPORT_FORMATS)
 @click.option(

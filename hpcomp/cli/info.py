@@ -10,14 +10,13 @@ from ..errors import InputError
 from .messages import say
 from .options import Command, format_option, message_options, print_data
 from .signals import load
+from .words import PICTURES, File
 
 
 @click.command(
     "info", cls=Command, short_help="Say what image files hold and how they will be read."
 )
-@click.argument(
-    "files", metavar="FILE...", nargs=-1, required=True, type=click.Path(readable=False)
-)
+@click.argument("files", metavar="FILE...", nargs=-1, required=True, type=File(*PICTURES))
 @format_option
 @click.option("--json", "format", flag_value="json", help="Short for --format json.")
 @message_options

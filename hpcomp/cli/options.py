@@ -5,15 +5,19 @@ from __future__ import annotations
 import logging
 import sys
 import warnings
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from ..errors import HpcompWarning, SettingError, nearest_name, unknown_name
+from ..errors import HpcompWarning, SettingError, nearest_name
 from ..system.outputs import writing
 from ..system.streams import stdout_bytes
 from .messages import say
+from .words import Choice
+
+if TYPE_CHECKING:
+    from click.shell_completion import CompletionItem
 
 #: Where a context keeps the answer of `is_quiet`.
 _QUIET = "hpcomp.quiet"
@@ -37,6 +41,16 @@ class Command(click.Command):
         except click.UsageError as error:
             error.ctx = error.ctx or ctx  # the parser does not know the command
             raise
+
+    def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem[str]]:
+        older = {
+            name
+            for param in self.get_params(ctx)
+            if isinstance(param, OptionOfOlderName)
+            for name in set(param.opts) - set(shown_names(param))
+        }
+        items = super().shell_complete(ctx, incomplete)
+        return [item for item in items if item.value not in older]
 
     def invoke(self, ctx: click.Context) -> Any:
         try:
@@ -150,28 +164,6 @@ class OptionOfOlderName(click.Option):
 def shown_names(option: click.Option) -> list[str]:
     """The names of an option that help and the manual show."""
     return option.opts[:1] if isinstance(option, OptionOfOlderName) else option.opts
-
-
-if TYPE_CHECKING:
-    _Choice = click.Choice[str]
-else:
-    _Choice = click.Choice  # which click before 8.2 cannot be asked what it is of
-
-
-class Choice(_Choice):
-    """Names to choose from, one of which is asked for where another was given.
-
-    `noun`: what errors call what is chosen.
-    """
-
-    def __init__(self, names: Iterable[str], noun: str) -> None:
-        super().__init__(tuple(names))
-        self.noun = noun
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
-        if value not in self.choices:
-            self.fail(str(unknown_name(self.noun, value, self.choices)), param, ctx)
-        return str(value)
 
 
 format_option = click.option(

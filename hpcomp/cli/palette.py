@@ -21,9 +21,10 @@ from ..system.outputs import write_bytes
 from ..system.streams import STDOUT
 from . import signals, terminal
 from .messages import say
-from .options import Choice, F, LayerCommand, OptionOfOlderName, message_options, print_bytes
+from .options import F, LayerCommand, OptionOfOlderName, message_options, print_bytes
 from .reportoptions import WRITING, opened_report, report_options
 from .stackoptions import make_options, stack_options
+from .words import Choice, Layer, Text, color_names
 
 #: The rules of how two colours are added: labels are sRGB, and lie on a background of their own.
 _RULES = [name for name in ARRAY_RULES if name not in ("background", "exposure", "primaries")]
@@ -81,13 +82,13 @@ def _limit(*names: str, default: float, metavar: str, help: str) -> Callable[[F]
 @click.command(
     "palette", cls=LayerCommand, help=PALETTE_HELP, short_help=PALETTE_HELP.partition("\n")[0]
 )
-@click.argument("colors", metavar="[COLOR...]", nargs=-1)
+@click.argument("colors", metavar="[COLOR...]", nargs=-1, type=Text(color_names))
 @click.option(
     "--from",
     "layers",
     multiple=True,
     metavar="LAYER",
-    type=click.Path(readable=False),
+    type=Layer("op", "opacity", "at"),
     help="Take labels from this file, in the LAYER syntax: one for each peak of its hues, in the "
     "mean colour of the peak. May be repeated.",
 )
@@ -102,6 +103,7 @@ def _limit(*names: str, default: float, metavar: str, help: str) -> Callable[[F]
 @stack_options(*_RULES)
 @click.option(
     "--background",
+    type=Text(color_names),
     default="#ffffff",
     show_default=True,
     metavar="COLOR",

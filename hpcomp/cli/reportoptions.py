@@ -11,7 +11,8 @@ from ..report.hueformats import ReportFormat
 from ..system.depfile import Depfile
 from ..system.outputs import check_places, whole_output
 from ..system.streams import STDOUT
-from .options import Choice, F
+from .options import F
+from .words import Choice, File
 
 
 def report_options(formats: Mapping[str, ReportFormat]) -> Callable[[F], F]:
@@ -27,7 +28,7 @@ def report_options(formats: Mapping[str, ReportFormat]) -> Callable[[F], F]:
             "-o",
             "--output",
             metavar="PATH",
-            type=click.Path(readable=False),
+            type=File(*(row.ending for row in formats.values())),
             help="Write here, in the format of the ending: "
             f"{', '.join(row.ending for row in formats.values())}. Stdout if not given, or -.",
         )(function)

@@ -14,6 +14,7 @@ from ..layers.layerspec import LAYER_KEYS
 from .options import LayerCommand, at_a_time, message_options
 from .signals import load
 from .stackoptions import output_option, stack_options
+from .words import File, Layer
 
 #: What may be a pattern of frames.
 _PATTERN_SIGN = re.compile("%|##")
@@ -46,9 +47,7 @@ keys, unless the whole argument is an existing file. A value cannot contain a co
 
 
 @click.command("stack", cls=LayerCommand, help=LAYER_HELP, short_help=LAYER_HELP.partition("\n")[0])
-@click.argument(
-    "layers", metavar="LAYER...", nargs=-1, required=True, type=click.Path(readable=False)
-)
+@click.argument("layers", metavar="LAYER...", nargs=-1, required=True, type=Layer())
 @output_option
 @stack_options(
     *("format", "op", "blending", "order", "space", "primaries", "hue_tolerance", "gray_bias"),
@@ -68,7 +67,7 @@ keys, unless the whole argument is an existing file. A value cannot contain a co
 @click.option(
     "--save-job",
     metavar="PATH",
-    type=click.Path(readable=False),
+    type=File(".json", ".jsonl"),
     help="Make nothing, but write the stack as a job of hpcomp batch, or each frame as one: to a "
     "path ending in .json, or as more lines of a .jsonl.",
 )

@@ -10,9 +10,22 @@ from typing import Any
 
 import click
 
+from ..blending.orders import ORDERS
+from ..geometry import CANVASES
+from ..imagefile.forms import COMPRESSIONS, DEPTHS
 from ..measures.defaults import DEFAULT_ACHROMATIC
 from ..options import OPTIONS, NamedOption
-from .options import Choice, F
+from .options import F
+from .words import PICTURES, Choice, File, Offer, Text, color_names, of_output
+
+#: What a shell is offered for options whose values are not all names, or not all for any output.
+_OFFERED: dict[str, Offer] = {
+    "order": lambda ctx: ORDERS,
+    "canvas": lambda ctx: CANVASES,
+    "background": color_names,
+    "compression": of_output(COMPRESSIONS),
+    "depth": of_output(DEPTHS),
+}
 
 
 def _click_option(row: NamedOption, help: str | None, hidden: bool) -> Callable[[F], F]:
@@ -28,10 +41,13 @@ def _click_option(row: NamedOption, help: str | None, hidden: bool) -> Callable[
         return click.option(f"{flag}/--no-{flag[2:]}", show_default=True, **how)
     if row.default is False:
         return click.option(flag, is_flag=True, **how)
+    offered = _OFFERED.get(row.name)
     if option.is_path:
-        how["type"] = click.Path(readable=False)
+        how["type"] = File()
     elif option.choices:
-        how["type"] = Choice(option.choices, option.noun or row.name)
+        how["type"] = Choice(option.choices, option.noun or row.name, offered)
+    elif offered:
+        how["type"] = Text(offered)
     elif option.least is not None:
         how["type"] = click.IntRange(min=option.least)
     elif row.kind is not None:
@@ -85,6 +101,6 @@ output_option = click.option(
     "--output",
     required=True,
     metavar="PATH",
-    type=click.Path(readable=False),
+    type=File(*PICTURES),
     help="Write here: a path ending in .png or .exr, or - for stdout with --format.",
 )

@@ -28,7 +28,6 @@ from hpcomp import cli
 from hpcomp.cli.options import shown_names
 
 SIZE = 10, 8
-SHELLS = [name for name in ("bash", "zsh", "fish") if shutil.which(name)]
 
 # Drops root's privilege to read and write where the permissions say no, and keeps everything else,
 # so that an interpreter in a folder of root's can still be read. For others it changes nothing.
@@ -1082,7 +1081,7 @@ def test_importing_the_package_loads_nothing():
     assert "click" not in done.stdout.split()
 
 
-# ---- help and completion --------------------------------------------------------------------
+# ---- help -----------------------------------------------------------------------------------
 
 
 def test_version():
@@ -1134,79 +1133,6 @@ def test_a_module_is_the_command(desk):
     )
     assert done.returncode == 0
     assert png_size((desk / "out.png").read_bytes()) == SIZE
-
-
-def test_bash_is_here():
-    """Elsewhere the tests of completion run with the shells that are installed."""
-    assert "bash" in SHELLS
-
-
-@pytest.mark.parametrize("name", ["bash", "zsh", "fish"])
-def test_completion_script_is_printed(name):
-    run = hpcomp("completion", name)
-    assert (run.code, run.stderr) == (0, "")
-    assert b"_HPCOMP_COMPLETE" in run.stdout
-
-
-@pytest.mark.parametrize("name", SHELLS)
-def test_completion_script_is_parsed_by_its_shell(tmp_path, name):
-    script = tmp_path / "script"
-    script.write_bytes(hpcomp("completion", name).stdout)
-    done = subprocess.run([name, "-n", script], capture_output=True, text=True)
-    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
-
-
-COMPLETIONS = [
-    ("st", "stack"),
-    ("stack --bl", "--blending"),
-    ("stack --blending tra", "traditional"),
-    ("stack a.png --order", "--order"),
-    ("info --js", "--json"),
-    ("completion f", "fish"),
-]
-
-
-@pytest.mark.parametrize(("words", "expected"), COMPLETIONS)
-def test_completion_in_bash(tmp_path, words, expected):
-    """The script is loaded, and its function called as bash does on the tab key."""
-    script = (
-        f'eval "$(hpcomp completion bash)"\nCOMP_WORDS=(hpcomp {words})\n'
-        "COMP_CWORD=$((${#COMP_WORDS[@]} - 1))\n"
-        "spec=$(complete -p hpcomp); function=${spec##*-F }; function=${function%% *}\n"
-        '$function hpcomp "${COMP_WORDS[COMP_CWORD]}" hpcomp\nprintf "%s\\n" "${COMPREPLY[@]}"'
-    )
-    path = f"{COMMAND.parent}{os.pathsep}{os.environ['PATH']}"
-    done = subprocess.run(
-        ["bash", "--norc", "-c", script], cwd=tmp_path, capture_output=True, text=True,
-        env={**os.environ, "PATH": path},
-    )  # fmt: skip
-    assert done.returncode == 0
-    assert done.stdout.split() == [expected]
-
-
-@pytest.mark.parametrize("name", ["bash", "zsh", "fish"])
-@pytest.mark.parametrize("asked", ["complete", "source"])
-def test_a_shell_that_completes_is_told_that_all_is_well(desk, name, asked):
-    env = {"_HPCOMP_COMPLETE": f"{name}_{asked}", "COMP_WORDS": "hpcomp st", "COMP_CWORD": "1"}
-    run = desk.run(env=env, process=True)
-    assert (run.code, run.stderr) == (0, "")
-    assert run.stdout
-    reading, writing = os.pipe()
-    os.close(reading)
-    closed = subprocess.run(
-        command(), stdout=writing, stderr=subprocess.PIPE, env={**os.environ, **env}
-    )
-    os.close(writing)
-    assert (closed.returncode, closed.stderr) == (141, b"")
-
-
-@pytest.mark.parametrize("asked", ["tcsh_complete", "bash_words", "1"])
-def test_a_shell_that_is_not_known(desk, asked):
-    run = desk.run(env={"_HPCOMP_COMPLETE": asked}, process=True)
-    assert (run.code, run.stdout) == (2, b"")
-    assert len(run.lines) == 1
-    for word in ("hpcomp: error: ", "_HPCOMP_COMPLETE", "bash", "zsh", "fish"):
-        assert word in run.stderr
 
 
 # ---- info -----------------------------------------------------------------------------------

@@ -36,8 +36,11 @@ TERMINAL = {"NO_COLOR", "FORCE_COLOR", "CLICOLOR", "CLICOLOR_FORCE", "COLUMNS", 
 #: Options of runs that leave threads and a process behind in the process that they are made in.
 LEAVING = {"--dask"}
 
+#: Variables with which a shell asks for words.
+COMPLETING = {"_HPCOMP_COMPLETE", "COMP_LINE", "COMP_WORDBREAKS", "COMP_WORDS", "COMP_CWORD"}
+
 #: Variables that are asked for during a run; others may be read when a process starts alone.
-ASKED = {engine.VARIABLE, sourcedate.VARIABLE, "TMPDIR", *TERMINAL}
+ASKED = {engine.VARIABLE, sourcedate.VARIABLE, "TMPDIR", *TERMINAL, *COMPLETING}
 
 
 @dataclass(frozen=True)
