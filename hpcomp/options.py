@@ -22,7 +22,7 @@ from .blending.addition import (
     check_gray_bias,
     check_hue_tolerance,
 )
-from .blending.orders import ORDERS
+from .blending.orders import ORDERS, check_order
 from .blending.porter_duff import OPERATOR_NAMES
 from .blending.rules import StackRules, check_exposure, checked_rules
 from .color.css import css_color
@@ -35,15 +35,19 @@ from .color.primaries import (
     working_primaries,
 )
 from .color.spaces import BUILDERS, DEFAULT_SPACE
-from .errors import SettingError, nearest, unknown_name
+from .errors import SettingError, nearest, nearest_name, unknown_name
 from .geometry import Window, parse_canvas, parse_window
 from .imagefile.forms import COMPRESSIONS, DEPTHS, FORMATS, NONFINITE_POLICIES
 from .measures.defaults import (
     DEFAULT_ACHROMATIC,
     DEFAULT_BINS,
+    REPORT_ENDINGS,
     check_achromatic,
     check_bins,
+    check_energy_weights,
     check_foreign_tolerance,
+    check_provenance,
+    check_report,
 )
 from .system.memory import parse_bytes
 from .system.threads import check_threads
@@ -132,9 +136,33 @@ def _checked_memory(memory: str | int) -> str | int:
     return memory
 
 
-def _paths(given: Path | Sequence[Path]) -> tuple[str, ...]:
+def _checked_order(order: str | Sequence[int]) -> str | Sequence[int]:
+    check_order(order)
+    return order
+
+
+def _checked_compression(compression: str | int) -> str:
+    name = str(compression)
+    png, exr = COMPRESSIONS["png"], COMPRESSIONS["exr"]
+    if name not in (*png, *exr):
+        near = nearest_name(name, (*png, *exr))
+        otherwise = f" for PNG, or of {', '.join(exr)} for EXR"
+        raise unknown_name("compression", name, png, meant=near, otherwise=otherwise)
+    return name
+
+
+def _checked_reports(given: Path | Sequence[Path]) -> tuple[str, ...]:
     several = [given] if isinstance(given, (str, os.PathLike)) else given
-    return tuple(os.fspath(path) for path in several)
+    return tuple(check_report(os.fspath(path)) for path in several)
+
+
+def _checked_provenance(given: Path) -> str:
+    return check_provenance(os.fspath(given))
+
+
+def _checked_weights(weights: str | Sequence[float]) -> str | Sequence[float]:
+    check_energy_weights(weights)
+    return weights
 
 
 def _names(given: str | Sequence[str]) -> tuple[str, ...]:
@@ -164,6 +192,7 @@ class RuleOptions(_Group):
         f"In which order the layers' colours are added: {', '.join(ORDERS)}, or a permutation such "
         "as 2,0,1.",
         metavar="ORDER",
+        check=_checked_order,
     )
     space: str = _option(
         DEFAULT_SPACE, "Blending space.", choices=tuple(BUILDERS), noun="blending space"
@@ -270,7 +299,7 @@ class OutputOptions(_Group):
         f"{', '.join(COMPRESSIONS['exr'][1:])}.",
         takes=str | int | None,
         metavar="NAME",
-        check=str,
+        check=_checked_compression,
     )
     out_primaries: str | None = _option(
         None,
@@ -306,12 +335,13 @@ class ReportOptions(_Group):
 
     report: tuple[str, ...] = _option(
         (),
-        "Write what blending did to the hues, beside traditional blending: a path ending in .txt, "
-        ".json, .csv, .svg, .png, .pdf or .html; can be given several times.",
+        "Write what blending did to the hues, beside traditional blending: a path ending in "
+        f"{', '.join(REPORT_ENDINGS[:-1])} or {REPORT_ENDINGS[-1]}; can be "
+        "given several times.",
         takes=Path | Sequence[Path],
         metavar="PATH",
         is_path=True,
-        check=_paths,
+        check=_checked_reports,
     )
     provenance: str | None = _option(
         None,
@@ -320,7 +350,7 @@ class ReportOptions(_Group):
         takes=Path | None,
         metavar="PATH",
         is_path=True,
-        check=os.fspath,
+        check=_checked_provenance,
     )
     foreign_tolerance: float | None = _option(
         None,
@@ -346,6 +376,7 @@ class ReportOptions(_Group):
         "Reports: shares of red, green and blue in the power of a display; 0.3,0.25,0.45, an "
         "estimate, if not given.",
         metavar="R,G,B",
+        check=_checked_weights,
     )
 
     @property

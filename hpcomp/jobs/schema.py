@@ -11,17 +11,20 @@ import re
 import typing
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
+from functools import lru_cache
 from types import NoneType, UnionType
 from typing import Annotated, Any, Required, TypedDict
 
 import msgspec
 
+from ..blending.orders import order
 from ..blending.porter_duff import OPERATOR_NAMES
 from ..color.encodings import ALPHA_MODES, COLOR_INTEROP_IDS, COLOR_SPACES
 from ..errors import SettingError, unknown_name
 from ..geometry import Window
+from ..imagefile.writing import OutputForm, format_of_output
 from ..layers.layerspec import LayerSpec, layer_spec
-from ..options import OPTIONS, NamedOption
+from ..options import OPTIONS, NamedOption, StackOptions
 from ..system.streams import STDIN, STDOUT
 
 #: The version of the schema that is read and written.
@@ -320,13 +323,50 @@ def checked_job(table: Any, defaults: Mapping[str, Any], where: str, *, typed: b
             raise MisplacedError(str(problem), table, problem.key) from None
     check_version(own.pop("version", SCHEMA_VERSION), table)
     output = own.pop("output")
+    _check_values(own, table)
     specs = tuple(_layer(number, layer, table, typed) for number, layer in enumerate(layers))
     job = Job(specs, output, {**defaults, **own}, where)
+    _check_together(job, table)
     for path in job.outputs:
         if path == STDOUT:
             raise MisplacedError("a job cannot write to stdout: name a file", table, "output")
         _check_path(path, table, "output")
     return job
+
+
+def _check_values(options: Mapping[str, Any], table: Mapping[str, Any]) -> None:
+    """Refuses what an option does not take, before any job is begun."""
+    for name, value in options.items():
+        try:
+            _check_value(name, tuple(value) if isinstance(value, list) else value)
+        except SettingError as problem:
+            raise MisplacedError(_with_key(name, problem), table, name) from None
+
+
+def _with_key(name: str, problem: SettingError) -> str:
+    """What is wrong with an option, whose name stands in it."""
+    said = str(problem)
+    return said if name.replace("_", " ") in said else f"{name}: {said}"
+
+
+@lru_cache(maxsize=1024, typed=True)  # jobs by the thousand have the same few
+def _check_value(name: str, value: Any) -> None:
+    StackOptions.of({name: value})
+
+
+def _check_together(job: Job, table: Mapping[str, Any]) -> None:
+    """Refuses an output of no format, what its format has not, and an order of other layers."""
+    options, key = job.options, "output"
+    try:
+        form = format_of_output(job.output, options.get("format"))
+        for key in ("depth", "compression", "out_primaries"):
+            if options.get(key) is not None:
+                OutputForm.checked(form, **{key: options[key]})
+        key = "order"
+        if options.get(key) is not None:
+            order(options[key], len(job.layers))
+    except SettingError as problem:
+        raise MisplacedError(_with_key(key, problem), table, key) from None
 
 
 def _check_path(path: str, table: object, key: str) -> None:
@@ -355,7 +395,9 @@ def checked_defaults(document: Mapping[str, Any]) -> dict[str, Any]:
     if not isinstance(defaults, Mapping):
         raise MisplacedError("defaults is not a table of options", document, "defaults")
     try:
-        return checked_table(defaults, JOB_OPTIONS, "option for all jobs")
+        checked = checked_table(defaults, JOB_OPTIONS, "option for all jobs")
+        _check_values(checked, defaults)
+        return checked
     except MisplacedError as problem:
         raise MisplacedError(f"defaults: {problem}", problem.table, problem.key) from None
 

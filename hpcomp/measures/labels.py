@@ -24,7 +24,12 @@ from ..blending.terms import weighted
 from ..color.gamut import bounds_of, colors_within
 from ..color.planes import cross_and_dot, is_saturated, length, ratio, spread_and_size
 from ..errors import SettingError
-from .defaults import DEFAULT_ACHROMATIC, check_achromatic, check_foreign_tolerance
+from .defaults import (
+    DEFAULT_ACHROMATIC,
+    check_achromatic,
+    check_energy_weights,
+    check_foreign_tolerance,
+)
 from .histogram import LARGEST_ADDEND, SUM_UNIT
 
 Array = NDArray[np.float32]
@@ -88,17 +93,6 @@ def measure_settings(
     return MeasureSettings(
         float(half_step), check_achromatic(achromatic), check_foreign_tolerance(foreign_tolerance)
     )
-
-
-def check_energy_weights(weights: Sequence[float]) -> tuple[float, float, float]:
-    """Weights of red, green and blue as floats; `SettingError` unless 3, finite and ≥ 0."""
-    checked = tuple(float(weight) for weight in weights)
-    if len(checked) != 3 or not all(0 <= weight < math.inf for weight in checked):
-        raise SettingError(
-            f"energy weights {','.join(f'{weight:g}' for weight in checked)} are not three numbers "
-            "from 0 up: give one for red, green and blue"
-        )
-    return checked
 
 
 # --- sums -----------------------------------------------------------------------------------------

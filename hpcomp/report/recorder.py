@@ -6,7 +6,6 @@ Imported where a report or a provenance is asked for, with all that those need.
 from __future__ import annotations
 
 import contextlib
-import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -21,16 +20,14 @@ from ..color.quantization import Losses
 from ..color.samples import Rgba, Samples, Strip, encode
 from ..engine import choice as engine
 from ..engine.contract import Accumulator
-from ..errors import SettingError
 from ..geometry import Window
 from ..imagefile.exrscanlines import ExrForm, ExrScanlineWriter
 from ..imagefile.header import PictureHeader
 from ..imagefile.writing import OutputForm
-from ..measures.defaults import DEFAULT_BINS
+from ..measures.defaults import DEFAULT_BINS, check_energy_weights
 from ..measures.labels import (
     ENERGY_WEIGHTS,
     Provenance,
-    check_energy_weights,
     half_step,
     measure_settings,
 )
@@ -96,8 +93,6 @@ class Recorder:
         for _, name in self._reports:
             load_stack_renderer(name)
         self._provenance_path = asked.provenance
-        if asked.provenance is not None and os.path.splitext(asked.provenance)[1].lower() != ".exr":
-            raise SettingError(f"provenance {asked.provenance} is an EXR: end it in .exr")
         self._settings = measure_settings(
             rules,
             half_step=half_step(form.kind),
@@ -105,7 +100,8 @@ class Recorder:
             foreign_tolerance=asked.foreign_tolerance,
         )
         self._bins = DEFAULT_BINS if asked.bins is None else asked.bins
-        self._energy_weights = _weights(asked.energy_weights)
+        weights = asked.energy_weights
+        self._energy_weights = ENERGY_WEIGHTS if weights is None else check_energy_weights(weights)
         self._with_preview = any(needs_preview(name) for _, name in self._reports)
         self.outputs = [path for path, _ in self._reports]
         if asked.provenance is not None:
@@ -241,20 +237,6 @@ def _composited(rules: StackRules, strips: Sequence[Strip], rows: Window) -> Rgb
     accumulator = engine.start(rules, rows.width, rows.height)
     accumulator.add(rules.arrival, [strips[number] for number in rules.arrival])
     return accumulator.result("float", Losses())
-
-
-def _weights(given: str | Sequence[float] | None) -> tuple[float, float, float]:
-    """Of red, green and blue; from `0.3,0.25,0.45` too. Errors: `SettingError`."""
-    if given is None:
-        return ENERGY_WEIGHTS
-    if isinstance(given, str):
-        try:
-            given = [float(word) for word in given.split(",")]
-        except ValueError:
-            raise SettingError(
-                f"energy weights '{given}' are not three numbers: write 0.3,0.25,0.45"
-            ) from None
-    return check_energy_weights(given)
 
 
 class _PreviewSums:

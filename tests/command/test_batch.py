@@ -240,7 +240,7 @@ def test_a_failure_does_not_stop_the_others(desk):
 
 def test_the_exit_code_is_that_of_the_worst_failure(desk):
     tables = jobs(3)
-    tables[0]["space"] = "nowhere"  # 2
+    tables[0]["layers"][0] = f"{tables[0]['layers'][0]}::op=over"  # 2: the bottom layer has no operator
     tables[1]["layers"][0] = "gone.png"  # 3
     tables[2]["output"] = "gone/out.png"  # 5
     for count, code in ((1, 2), (2, 3), (3, 5)):
@@ -248,6 +248,15 @@ def test_the_exit_code_is_that_of_the_worst_failure(desk):
         assert desk.run("batch", "jobs.json").code == code
     failures = [ExitCode.BUG, ExitCode.OUTPUT, ExitCode.INPUT, ExitCode.MISMATCH, ExitCode.USAGE]
     assert list(SEVERITY) == [*failures, ExitCode.DONE]
+
+
+@pytest.mark.parametrize("option", [{"space": "oklb"}, {"report": "x.xyz"}, {"order": "0,2"}, {"depth": "half"}])
+def test_a_value_that_no_job_can_have_is_said_before_any_is_made(desk, option):
+    tables = jobs(3)
+    tables[2] |= option
+    put_jobs(desk, tables)
+    (key,) = option
+    desk.refuses(2, "batch", "jobs.json", says=["jobs.json:", "job 3", key.split("_")[0]])
 
 
 def test_fail_fast_begins_no_more(desk):

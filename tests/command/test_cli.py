@@ -429,7 +429,7 @@ def test_rules_beside_the_papers(desk, rule):
         (["--depth", "half"], ["PNG depth", "half", "8", "16"]),
         (["--depth", "12"], ["12", "8", "16"]),
         (["--compression", "zip"], ["PNG compression", "zip", "fast", "small", "9"]),
-        (["--compression", "10"], ["PNG compression", "10", "fast", "small", "9"]),
+        (["--compression", "10"], ["compression '10'", "for PNG", "fast", "small", "9"]),
         (["--exposure", "inf"], ["inf"]),
         (["--exposure", "nan"], ["nan"]),
         (["--background", "mauve"], ["mauve", "CSS", "#"]),

@@ -160,14 +160,14 @@ REFUSED = [
      "order is [0.5]: it takes a text or a list, each a whole number"),
     ("a.csv", "output,layer,opt\no.png,a,1\n", "a.csv:1: unknown column 'opt'"),
     ("a.csv", "output,layer,output\n", "column 'output' stands twice"),
-    ("a.csv", 'output,layer,bins\n"o\n.png",a,3\np.png,a,x\n',
+    ("a.csv", 'output,layer,bins\n"o\n.png",a,30\np.png,a,x\n',
      "a.csv:4: bins is 'x': it takes a whole number"),
     ("a.csv", "output,layer\no.png,a,b\n", "a.csv:2: 3 cells, but 2 columns"),
     ("a.csv", "output,layer\no.png,\n", "a.csv:2: it has no layers"),
     ("a.txt", "", "ends in none of .toml"),
     ("a.toml", '[[jobs]]\nlayers = ["a"]\noutput = "o.png"\n\n[defaults]\nfoo = 2\n\n[[jobs]]\nfoo = 3\n',
      "a.toml:6: defaults: unknown"),
-    ("a.toml", '[[jobs]]\nlayers = ["a"]\noutput = "o.png"\n\n[defaults]\nbins = 2\n\n[[jobs]]\nlayers = ["b"]\n'
+    ("a.toml", '[[jobs]]\nlayers = ["a"]\noutput = "o.png"\n\n[defaults]\nbins = 20\n\n[[jobs]]\nlayers = ["b"]\n'
      'output = "p.png"\nbins = "x"\n', "a.toml:11: job 2: bins"),
     ("a.toml", 'defaults = { strict = true, foo = 2 }\n[[jobs]]\nfoo = 3\n', "a.toml:1: defaults: unknown"),
     ("a.toml", "jobs = [2024-01-01]", "job 1: it is no table"),
@@ -176,8 +176,40 @@ REFUSED = [
     ("a.json", '[{"layers": ["a"], "output": "o.png", "depfile": "-"}]', "cannot write to stdout"),
 ]  # fmt: skip
 
+#: Likewise values that a schema does not know to be wrong: of an option, or beside the others.
+REFUSED_VALUES = [
+    *(
+        (f"a.{ending}", text.replace("KEY", key).replace("VALUE", value), f"a.{ending}:{line}: {where}{said}")
+        for key, value, said in (
+            ("space", "oklb", "unknown blending space 'oklb': did you mean 'oklab'?"),
+            ("report", "x.xyz", "report x.xyz: its ending names no format: end it in .txt,"),
+            ("provenance", "x.png", "provenance x.png is an EXR"),
+            ("order", "1,2", "order 1,2 is not a permutation"),
+            ("order", "upwards", "unknown order 'upwards'"),
+            ("depth", "half", "unknown PNG depth 'half'"),
+            ("compression", "zip", "unknown PNG compression 'zip'"),
+            ("region", "1,2,3,4", "region: '1,2,3,4' is not a window"),
+            ("canvas", "botom", "unknown canvas 'botom': did you mean 'bottom'?"),
+            ("background", "rde", "background: 'rde' is not a colour"),
+            ("max_memory", "lots", "max_memory: 'lots' is not an amount of memory"),
+            ("energy_weights", "1,2", "energy weights 1,2 are not three numbers"),
+            ("op", "ovr", "unknown operator 'ovr': did you mean 'over'?"),
+        )
+        for ending, line, where, text in (
+            ("toml", 5, "job 1: ", "[[jobs]]\nlayers = ['a']\noutput = 'o.png'\n\nKEY = 'VALUE'\n"),
+            ("json", 2, "job 1: ", '[{"layers": ["a"], "output": "o.png",\n"KEY": "VALUE"}]'),
+            ("jsonl", 2, "", '\n{"layers": ["a"], "output": "o.png", "KEY": "VALUE"}'),
+            ("csv", 2, "", 'output,layer,KEY\no.png,a,"VALUE"\n'),
+        )
+    ),
+    ("a.jsonl", '{"layers": ["a"], "output": "o.exr", "out_primaries": "rec709"}', "an EXR is written in"),
+    ("a.json", '{"layers": ["a"], "output": "o.xyz"}', "job 1: output o.xyz does not say its format"),
+    ("a.json", '[{"layers": ["a"], "output": "o.png", "exposure": Infinity}]', "exposure inf is outside"),
+    ("a.json", '{"defaults": {"hue_tolerance": 400}, "jobs": []}', "defaults: hue tolerance 400 is outside"),
+]
 
-@pytest.mark.parametrize(("name", "text", "says"), REFUSED, ids=lambda v: v[-24:])
+
+@pytest.mark.parametrize(("name", "text", "says"), REFUSED + REFUSED_VALUES, ids=lambda v: v[-24:])
 def test_what_is_refused_and_where(tmp_path, monkeypatch, name, text, says):
     monkeypatch.chdir(tmp_path)
     Path(name).write_text(text)
@@ -346,8 +378,7 @@ DECODED = [
     ('{"output" :"o.png", "layers"\t: ["a"], "order": [0], "depth": 8, "report": ["r.txt"]}', True),
     ('{"layers": ["\\u0061"], "output": "o.png", "format": null}', True),
     ('{"layers": ["a\\":b"], "output": "o.png"}', False),  # what looks like one more key
-    ('{"layers": [{"path": ":"}, ":"], "output": ":"}', False),
-    ('{"layers": ["a"], "output": "o.png", "exposure": Infinity}', False),
+    ('{"layers": [{"path": ":"}, ":"], "output": ":.png"}', False),
 ]
 
 

@@ -22,7 +22,9 @@ from hpcomp.color.encodings import ALPHA_MODES, COLOR_INTEROP_IDS, COLOR_SPACES
 from hpcomp.errors import SettingError, nearest_name, unknown_name
 from hpcomp.geometry import CANVASES, GRAVITIES, parse_canvas, parse_placement, parse_window
 from hpcomp.layers.layerspec import LAYER_KEYS, LAYER_NAMES, parse_layer
+from hpcomp.measures.defaults import REPORT_ENDINGS
 from hpcomp.options import OPTIONS
+from hpcomp.report.hueformats import REPORT_FORMATS
 
 
 @pytest.fixture
@@ -369,6 +371,36 @@ def test_forms_of_the_other_format(desk):
             2, "stack", "base.png", "-o", "o.png", option, value, says=[f"; {value} is for {of}"]
         )
     desk.refuses(2, "stack", "base.png", "-o", "o.exr", "--depth", "16", says=["; 16 is for PNG"])
+
+
+REFUSED_BY_ALL = [
+    ("--report", "x.xyz", "report x.xyz: its ending names no format: end it in .txt, .json"),
+    ("--provenance", "x.png", "provenance x.png is an EXR"),
+    ("--compression", "zipp", "'zipp': did you mean 'zip"),
+    ("--order", "upwards", "unknown order 'upwards'"),
+    ("--energy-weights", "1,2", "energy weights 1,2 are not three numbers"),
+    ("--out-primaries", "rec709x", "did you mean 'rec709'?"),
+]
+
+
+@pytest.mark.parametrize(("option", "value", "said"), REFUSED_BY_ALL)
+@pytest.mark.parametrize("command", ["stack", "check", "explain", "save-job"])
+def test_options_that_change_nothing_are_checked_too(desk, command, option, value, said):
+    """One list of options is given to all of these: what is wrong in it is wrong everywhere.
+
+    The layer is missing: it is said before anything is read.
+    """
+    arguments = {
+        "stack": ["stack", "gone.png", "-o", "o.exr"],
+        "save-job": ["stack", "gone.png", "-o", "o.exr", "--save-job", "j.json"],
+        "check": ["check", "gone.png", "gone.png", "--max-foreign", "0"],
+        "explain": ["explain", "gone.png", "--at", "1,1"],
+    }[command]
+    desk.refuses(2, *arguments, option, value, says=[said])
+
+
+def test_endings_of_reports_are_those_of_the_formats():
+    assert tuple(row.ending for row in REPORT_FORMATS.values()) == REPORT_ENDINGS
 
 
 # ---- parts, layers, labels ------------------------------------------------------------------
