@@ -17,7 +17,7 @@ from ..errors import ExitCode, InputError, SettingError
 from ..options import OutputOptions, ResourceOptions
 from ..system.depfile import Depfile
 from ..system.memory import parse_bytes
-from ..system.outputs import check_places, writing
+from ..system.outputs import check_places, remove_abandoned, writing
 from ..system.streams import STDIN, STDOUT, stdout_bytes
 from .doing import maker
 from .jobfile import read_jobs
@@ -160,6 +160,7 @@ def batch(
         if state is not None:
             remembered = State(os.fspath(state), todo, resume, prefix)
             opened.callback(remembered.close)
+        remove_abandoned(output for job in todo for output in job.outputs)
         lines = None
         if log_to is not None:
             lines = _Log(os.fspath(log_to), append=resume)

@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import os
 import stat
 import sys
+import zlib
 from collections.abc import Iterable, Iterator
 from typing import BinaryIO
 
 from ..errors import OutputError, SettingError, why
 from .streams import STDOUT, stdout_bytes
 
-#: What the names of temporary files begin with, behind the dot of hidden ones; a process that
-#: another one may have to tidy up after has a name of its own here.
-temporary_prefix = "hpcomp."
+#: What the names of temporary files begin with, behind the dot of hidden ones. Behind it stand what
+#: tells the output and the machine, and a random number: `.hpcomp.1c0ffee5.0123456789abcdef`.
+_PREFIX = "hpcomp."
+#: That of this process: one that another one tidies up after has a name of its own here.
+temporary_prefix = _PREFIX
 
 
 @contextlib.contextmanager
@@ -23,7 +27,8 @@ def whole_output(target: str, *, clobber: bool = True, if_changed: bool = False)
 
     `target`: a path; `-` for stdout; links are followed; devices and pipes are written through.
     `if_changed`: a file that has these bytes already is left as it is, with its time.
-    On any exception the temporary file is removed and `target` stays as it was.
+    On any exception the temporary file is removed and `target` stays as it was. What a run that was
+    killed has left beside `target` is removed, too.
     Errors: `OutputError` where the directory is missing or not writable, where `target` is a
     directory, or where it exists and `clobber` is off.
     """
@@ -36,15 +41,23 @@ def whole_output(target: str, *, clobber: bool = True, if_changed: bool = False)
     # The name first and the file inside the `try`: wherever a signal strikes, the file is removed.
     directory = _temporary_directory() if special else os.path.dirname(place)
     hidden = "" if special else "."
-    temporary = os.path.join(directory, f"{hidden}{temporary_prefix}{os.urandom(8).hex()}")
+    if not special and temporary_prefix == _PREFIX:
+        remove_abandoned([place])
+    begin = os.path.join(directory, f"{hidden}{temporary_prefix}{_tag(place)}.")
+    temporary, held = "", -1
     try:
-        try:
-            os.close(os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o600))
-        except OSError as reason:
-            where = directory if special else os.path.dirname(target) or "."
-            raise OutputError(
-                f"{label}: cannot write in the directory {where}: {why(reason)}"
-            ) from None
+        while held < 0:
+            temporary = f"{begin}{os.urandom(8).hex()}"
+            try:
+                held = os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o600)
+            except OSError as reason:
+                where = directory if special else os.path.dirname(target) or "."
+                raise OutputError(
+                    f"{label}: cannot write in the directory {where}: {why(reason)}"
+                ) from None
+            if not _is_ours(held):
+                os.close(held)
+                held = -1
         yield temporary
         try:
             if stream:
@@ -68,6 +81,8 @@ def whole_output(target: str, *, clobber: bool = True, if_changed: bool = False)
         # Where there is none, a disk that is read-only says so instead.
         with contextlib.suppress(OSError):
             os.unlink(temporary)
+        if held >= 0:
+            os.close(held)
 
 
 def write_bytes(place: str, content: bytes, label: str) -> None:
@@ -109,6 +124,56 @@ def remove_leftovers(targets: Iterable[str], prefix: str) -> None:
                 if name.startswith(f".{prefix}"):
                     with contextlib.suppress(FileNotFoundError):
                         os.unlink(os.path.join(directory, name))
+
+
+def remove_abandoned(targets: Iterable[str]) -> None:
+    """Removes the temporary files of `targets` that nobody writes any more.
+
+    A process has a lock on what it writes, which ends with it, however it ends. Another machine may
+    not see the lock: files of processes on this one alone are removed. Who has just made one and
+    finds it locked or gone before he could lock it makes another.
+    """
+    tags: dict[str, set[str]] = {}
+    for target in targets:
+        place = os.path.realpath(target)
+        tags.setdefault(os.path.dirname(place), set()).add(_tag(place))
+    for directory, wanted in tags.items():
+        with contextlib.suppress(OSError), os.scandir(directory) as entries:
+            for entry in entries:
+                if entry.name.startswith(f".{_PREFIX}") and entry.name.split(".")[-2] in wanted:
+                    _remove_unlocked(entry.path)
+
+
+def _tag(place: str) -> str:
+    """What tells in the name of a temporary file which output it is of, and on which machine."""
+    words = f"{os.uname().nodename}/{os.path.basename(place)}"
+    return f"{zlib.crc32(os.fsencode(words)):08x}"
+
+
+def _is_ours(made: int) -> bool:
+    """Whether a file that was just made is locked now, or is on a file system without locks.
+
+    Else somebody took it for one that was abandoned, and has removed it or is about to.
+    """
+    try:
+        fcntl.flock(made, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except OSError:
+        return True
+    return os.fstat(made).st_nlink > 0
+
+
+def _remove_unlocked(path: str) -> None:
+    """Removes a file unless a process has it locked, or the file system knows no locks."""
+    with contextlib.suppress(OSError):
+        file = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
+        try:
+            if stat.S_ISREG(os.fstat(file).st_mode):
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                os.unlink(path)
+        finally:
+            os.close(file)
 
 
 def _temporary_directory() -> str:

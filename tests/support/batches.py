@@ -50,7 +50,7 @@ def temporaries(desk):
 
 def is_making(desk):
     """Whether a process of a batch is writing an output: their temporary files have long names."""
-    return any(name.count(".") == 4 for name in temporaries(desk))
+    return any(name.count(".") == 5 for name in temporaries(desk))
 
 
 def processes_of(pid):
