@@ -9,6 +9,8 @@ from collections.abc import Callable, Sequence
 from functools import partial
 
 from ..color.samples import Strip, linear_rgba, part_of
+from ..engine import choice as engine
+from ..engine.contract import Engine
 from ..errors import SettingError
 from ..geometry import Window
 from ..imagefile.interpretation import check_nonfinite
@@ -119,7 +121,8 @@ def read_hues(
         # Closed before the reader is: no thread reads on behind a failure.
         with ThreadPipeline[HueHistogram](n_threads) as pipeline:
             for part in pipeline.read_ahead(
-                reads, partial(_measured, total=none, go_on=pipeline.go_on)
+                reads,
+                partial(_measured, total=none, counting=engine.active(), go_on=pipeline.go_on),
             ):
                 total += part
         warn_of_zeroed([reader], notices)
@@ -135,8 +138,17 @@ def read_hues(
     return total
 
 
-def _measured(strip: Strip, total: HueHistogram, go_on: Callable[[], None]) -> HueHistogram:
-    """The histogram of a strip, like the empty `total`; decoded in blocks, which stay in cache."""
+def _measured(
+    strip: Strip, total: HueHistogram, counting: Engine, go_on: Callable[[], None]
+) -> HueHistogram:
+    """The histogram of a strip, like the empty `total`, by the engine or by numpy.
+
+    What numpy counts is decoded in blocks, which stay in cache.
+    """
+    go_on()
+    counted = counting.hues(strip, total)
+    if counted is not None:
+        return counted
     height, width = strip.samples.shape[:2]
     for block in Window(0, 0, width, height).blocks(BLOCK_PIXELS):
         go_on()

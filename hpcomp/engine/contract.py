@@ -17,6 +17,7 @@ from ..color.quantization import Losses
 from ..color.samples import Samples, Strip
 
 if TYPE_CHECKING:  # only reports need them
+    from ..measures.histogram import HueHistogram
     from ..measures.labels import Provenance
     from ..measures.summary import StackSummary, StripToMeasure
 
@@ -81,6 +82,12 @@ class Engine(Protocol):
 
     def measures(self, rules: StackRules) -> bool:
         """Whether it measures stacks of such rules; the reference measures all."""
+
+    def hues(self, strip: Strip, like: HueHistogram) -> HueHistogram | None:
+        """The histogram of one strip, like an empty one; None where numpy is to count.
+
+        Where an engine counts, it is the histogram of `hue_histogram`, to the bit.
+        """
 
     def summary(self, strip: StripToMeasure) -> tuple[StackSummary, Provenance | None]:
         """The summary of a strip, and its provenance planes (height, width) where wanted."""

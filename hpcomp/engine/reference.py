@@ -23,6 +23,7 @@ from ..color.quantization import Losses
 from ..color.samples import Samples, Strip, cropped, encode, linear_rgba, spread
 
 if TYPE_CHECKING:  # only reports need them
+    from ..measures.histogram import HueHistogram
     from ..measures.labels import Provenance
     from ..measures.summary import StackSummary, StripToMeasure
 
@@ -69,6 +70,10 @@ class ReferenceEngine:
     def measures(self, rules: StackRules) -> bool:
         """It measures in every space."""
         return True
+
+    def hues(self, strip: Strip, like: HueHistogram) -> HueHistogram | None:
+        """It has no loops of its own."""
+        return None
 
     def summary(self, strip: StripToMeasure) -> tuple[StackSummary, Provenance | None]:
         """The summary of a strip, and its provenance planes (height, width) where wanted."""

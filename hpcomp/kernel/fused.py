@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from ..blending.addition import ROUNDING_ANGLE
 from ..blending.orders import ORDERS
 from ..blending.porter_duff import Factor
-from ..blending.rules import Reduction, StackRules
+from ..blending.rules import Reduction, StackRules, checked_rules
 from ..color import spaces
 from ..color.gamut import bounds_of
 from ..color.primaries import REC709, Primaries, conversion_pairs, to_xyz
@@ -32,6 +32,7 @@ from ..errors import unknown_name
 from . import _kernel
 
 if TYPE_CHECKING:  # only reports need them
+    from ..measures.histogram import HueHistogram
     from ..measures.labels import Provenance
     from ..measures.summary import StackSummary, StripToMeasure
 
@@ -102,6 +103,19 @@ class KernelEngine:
         """It measures in linear spaces alone."""
         return rules.space.linear
 
+    def hues(self, strip: Strip, like: HueHistogram) -> HueHistogram | None:
+        """The histogram of one strip: the layer's, in the summary of a stack of that layer."""
+        rules = _rules_of_one(like.space)
+        if not self.measures(rules) or not strip.decoding.is_plain(strip.samples):
+            return None
+        from ..measures.labels import MeasureSettings
+        from ..measures.summary import StripToMeasure
+
+        height, width = strip.samples.shape[:2]
+        settings = MeasureSettings(0.0, like.achromatic, 0.0)
+        alone = StripToMeasure(rules, settings, like.bins, (strip,), width, height)
+        return self.summary(alone)[0].layers[0]
+
     def summary(self, strip: StripToMeasure) -> tuple[StackSummary, Provenance | None]:
         """The summary of a strip, and its provenance planes (height, width) where wanted."""
         from .measuring import StripMeasures
@@ -115,6 +129,23 @@ class KernelEngine:
             rules=rules_of(rules), layers=layers, measures=measures.sums, level=chosen_level()
         )
         return measures.summary()
+
+
+@cache
+def _rules_of_one(space: str) -> StackRules:
+    """The rules of a stack of one layer, in which nothing is blended."""
+    return checked_rules(
+        [None],
+        [1.0],
+        blending="traditional",
+        order="bottom-up",
+        space=space,
+        hue_tolerance=0.0,
+        gray_bias=0.0,
+        background=None,
+        exposure=0.0,
+        primaries=REC709.name,
+    )
 
 
 ENGINE = KernelEngine()

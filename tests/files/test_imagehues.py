@@ -1,5 +1,6 @@
 """Hue histograms of files: read in strips, on any number of threads, with the keys of a LAYER."""
 
+import itertools
 import logging
 import re
 
@@ -9,8 +10,13 @@ import pngfile
 import pytest
 
 import hpcomp
-from hpcomp import InputError, MismatchError, SettingError, hue_histogram, read_hues
+from hpcomp import SPACES, InputError, MismatchError, SettingError, hue_histogram, read_hues
 from hpcomp.analysis import hues
+from hpcomp.color import spaces
+from hpcomp.color.encodings import ALPHA_MODES, COLOR_SPACES, LINEAR_REC709, SRGB_ENCODING
+from hpcomp.color.samples import Decoding, Strip, linear_rgba
+from hpcomp.engine import reference
+from hpcomp.measures.histogram import HueHistogram
 
 
 def noise(height, width, seed=5):
@@ -57,7 +63,8 @@ def test_memory_does_not_show(tmp_path, compression, caplog):
 
 
 def test_blocks_do_not_show(tmp_path, monkeypatch):
-    """Of whole rows, and of parts of one."""
+    """Of whole rows, and of parts of one: where numpy counts."""
+    monkeypatch.setenv("HPCOMP_ENGINE", "reference")
     path = exr(tmp_path / "a.exr", noise(70, 31))
     whole = read_hues(path)
     for pixels in (7, 31, 100):
@@ -145,3 +152,83 @@ def test_settings_are_checked_before_the_file_is_opened(settings, words):
 def test_missing_file():
     with pytest.raises(InputError, match=r"nowhere.png: cannot be read: no such file"):
         read_hues("nowhere.png")
+
+
+# ---- by the engine ------------------------------------------------------------------------------
+
+#: Colours as files have them, and as the rarest do: of every transfer and of two sets of primaries.
+ENCODINGS = [
+    SRGB_ENCODING, LINEAR_REC709, COLOR_SPACES["adobe-rgb"], COLOR_SPACES["acescg"], COLOR_SPACES["display-p3"],
+]  # fmt: skip
+
+
+def stored(kind, channels, seed):
+    """(9, 700, channels) samples: labels, greys, runs of one colour, noise, and what is not finite."""
+    rng = np.random.default_rng(seed)
+    samples = rng.random((9, 700, channels))
+    samples[1] = samples[1, :1]
+    samples[2] = samples[2, ::1, :1]
+    samples[3] = 0
+    samples[4, :, -1] = 0
+    samples[5] = np.repeat(samples[5, ::70], 70, axis=0)
+    if np.dtype(kind).kind == "u":
+        return (samples * np.iinfo(kind).max).round().astype(kind)
+    samples[6] = samples[6] * 40 - 20
+    samples[7] = np.where(rng.random((700, channels)) < 0.05, rng.choice([np.nan, np.inf, -np.inf]), samples[7])
+    with np.errstate(over="ignore"):
+        samples[8] *= 10.0 ** rng.integers(-8, 39, (700, channels))
+        return samples.astype(kind)
+
+
+@pytest.mark.parametrize("kind", ["uint8", "uint16", "float16", "float32"])
+@pytest.mark.parametrize("channels", [1, 2, 3, 4])
+@pytest.mark.parametrize("space", SPACES)
+def test_the_engine_counts_as_numpy_does(kind, channels, space):
+    """To the bit, whatever is stored; where it does not count, it says so."""
+    by_kernel = pytest.importorskip("hpcomp.kernel.fused").ENGINE
+    counted = 0
+    for number, (encoding, mode, zero) in enumerate(
+        itertools.product(ENCODINGS, ALPHA_MODES, [False, True])
+    ):
+        decoding = Decoding(encoding, mode, stored_straight=True, zero_nonfinite=zero)
+        strip = Strip(stored(kind, channels, number), decoding)
+        bins, achromatic = [(360, 0.02), (6, 0.0), (3600, 1.0), (7, 0.5)][number % 4]
+        like = HueHistogram.empty(bins, space, achromatic)
+        assert reference.ENGINE.hues(strip, like) is None
+        found = by_kernel.hues(strip, like)
+        if not decoding.is_plain(strip.samples) or not spaces.space(space).linear:
+            assert found is None
+            continue
+        with np.errstate(all="ignore"):
+            rgba, _ = linear_rgba(strip)
+        expected = hue_histogram(rgba, bins=bins, space=space, achromatic=achromatic)
+        assert found == expected, (encoding, mode, zero)
+        counted += 1
+    assert counted or not spaces.space(space).linear
+
+
+def test_hues_of_a_file_are_the_same_by_both_engines(tmp_path, monkeypatch):
+    picture = pngfile.random_png(pngfile.RGBA, 16, width=301, height=97)
+    (tmp_path / "a.png").write_bytes(picture.encode())
+    exr(tmp_path / "a.exr", noise(97, 301))
+    for name in ("a.png", "a.exr"):
+        for options in ({}, {"space": "oklab"}, {"bins": 90, "achromatic": 0.3}):
+            monkeypatch.delenv("HPCOMP_ENGINE", raising=False)
+            found = [read_hues(tmp_path / name, threads=n, **options) for n in (1, 2, 3)]
+            monkeypatch.setenv("HPCOMP_ENGINE", "reference")
+            found += [read_hues(tmp_path / name, threads=n, **options) for n in (1, 2)]
+            assert found[0].pixels == 97 * 301
+            assert all(histogram == found[0] for histogram in found[1:])
+
+
+def test_the_kernel_counts_where_it_can(tmp_path, monkeypatch):
+    """Numpy takes ten times as long."""
+    pytest.importorskip("hpcomp.kernel.fused")
+    (tmp_path / "a.png").write_bytes(pngfile.random_png(pngfile.RGBA, 8, width=31, height=70).encode())
+    before = read_hues(tmp_path / "a.png")
+
+    def by_numpy(*arguments, **settings):
+        raise AssertionError("numpy counts")
+
+    monkeypatch.setattr(hues, "hue_histogram", by_numpy)
+    assert read_hues(tmp_path / "a.png", threads=2) == before
