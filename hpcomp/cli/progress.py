@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import sys
 from typing import Any
 
 from .messages import say
 
+#: Columns of a terminal that does not say how many it has.
+_ANY_WIDTH = 79
 #: The bar shrinks to fit, then what stands last is cut.
 _FORMAT = "[{bar}] {n_fmt}/{total_fmt}{postfix} {rate_noinv_fmt} {remaining} left"
 
@@ -59,6 +62,17 @@ def _shows_bar() -> bool:
     return sys.stderr is not None and sys.stderr.isatty() and os.environ.get("TERM") != "dumb"
 
 
+def _width() -> dict[str, Any]:
+    """For tqdm: that of the terminal whenever it is drawn, or one that fits any which tells none.
+
+    A terminal without a width is one of a program, such as a recorder; tqdm would draw nothing.
+    """
+    with contextlib.suppress(OSError, ValueError):
+        if os.get_terminal_size(sys.stderr.fileno()).columns:
+            return {"dynamic_ncols": True}
+    return {"ncols": _ANY_WIDTH}
+
+
 def _bar(total: int) -> Any:
     import threading
 
@@ -74,7 +88,7 @@ def _bar(total: int) -> Any:
         unit="",
         ascii="-#",
         bar_format=_FORMAT,
-        dynamic_ncols=True,
+        **_width(),
         miniters=0,  # time goes on while no job ends
         smoothing=0,  # the mean rate: tqdm's moving one counts from the last drawing
     )
