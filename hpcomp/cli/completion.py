@@ -16,7 +16,7 @@ from click.shell_completion import (
     split_arg_string,
 )
 
-from .options import Command, print_data
+from .options import STDIN_MARK, Command, print_data
 from .words import Choice
 
 # The scripts hand over the line up to the cursor: bash parts words at : and =, which LAYERs have.
@@ -75,8 +75,8 @@ end
 complete --no-files --keep-order --command %(prog_name)s --arguments "(%(complete_func)s)"
 """
 
-#: What a word has at its end while the line is taken apart: no file name has it.
-_CURSOR = "\U000f0000"
+#: What a word has at its end while the line is taken apart: of private use, too.
+_CURSOR = "\U000f0001"
 #: What a shell would take for something else outside quotes.
 _SPECIAL = re.compile(r"[^\w@%+=:,./~-]")
 
@@ -93,10 +93,12 @@ class _OfLine(ShellComplete):
 
     def get_completions(self, args: list[str], incomplete: str) -> list[CompletionItem[str]]:
         """Sorted; with the name of an option where its value stands behind a =."""
-        items = super().get_completions(args, incomplete)
+        marked = f"{STDIN_MARK}{incomplete}" if incomplete.startswith("-::") else incomplete
+        items = super().get_completions(args, marked)
         option, equals, _ = incomplete.partition("=")
-        if equals and option.startswith("--"):
-            for item in items:
+        for item in items:
+            item.value = item.value.removeprefix(STDIN_MARK)
+            if equals and option.startswith("--"):
                 item.value = f"{option}={item.value}"
         return sorted(items, key=lambda item: item.value)
 

@@ -94,7 +94,7 @@ class LayerCommand(Command):
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         rest = super().parse_args(
-            ctx, [f"{_STDIN_MARK}{a}" if a.startswith("-::") else a for a in args]
+            ctx, [f"{STDIN_MARK}{a}" if a.startswith("-::") else a for a in args]
         )
         for name, value in ctx.params.items():
             if isinstance(value, tuple):
@@ -104,12 +104,12 @@ class LayerCommand(Command):
         return rest
 
 
-#: A character of Unicode's private use, which no file name begins with.
-_STDIN_MARK = "\U000f0000"
+#: What `-::key=value` begins with while click reads it: a character of Unicode's private use.
+STDIN_MARK = "\U000f0000"
 
 
 def _as_typed(value: Any) -> Any:
-    return value.removeprefix(_STDIN_MARK) if isinstance(value, str) else value
+    return value.removeprefix(STDIN_MARK) if isinstance(value, str) else value
 
 
 def _show_messages(ctx: click.Context, param: click.Parameter, value: bool) -> bool:

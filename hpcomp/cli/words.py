@@ -115,6 +115,8 @@ def files(begin: str, endings: Sequence[str] = ()) -> list[str]:
                 continue
             if entry.name.startswith(".hpcomp.") or ".hpcomp-state" in entry.name:
                 continue
+            if not entry.name.isprintable():  # a shell reads lines of text
+                continue
             if entry.is_dir():
                 found.append(f"{os.path.join(folder, entry.name)}/")
             elif not endings or entry.name.lower().endswith(tuple(endings)):
@@ -142,15 +144,22 @@ def _values(path: str, key: str) -> Iterable[str]:
     if key == "tint":
         return color_names()
     if key in ("part", "layer"):
-        try:
-            parts = load("hpcomp.imagefile.description").describe(path).parts
-        except HpcompError:
-            return ()
-        if key == "part":
-            return [part.name or str(part.index) for part in parts] if len(parts) > 1 else ()
-        return {group.layer for part in parts for group in part.groups if group.layer}
+        return [name for name in _in_file(path, key) if name.isprintable() and "," not in name]
     names: Iterable[str] = load("hpcomp.layers.layerspec").LAYER_NAMES.get(key, ())
     return names
+
+
+def _in_file(path: str, key: str) -> Iterable[str]:
+    """The parts or layers that a file has; of a pipe or a terminal nothing is asked."""
+    if not os.path.isfile(path):
+        return ()
+    try:
+        parts = load("hpcomp.imagefile.description").describe(path).parts
+    except HpcompError:
+        return ()
+    if key == "part":
+        return [part.name or str(part.index) for part in parts] if len(parts) > 1 else ()
+    return {group.layer for part in parts for group in part.groups if group.layer}
 
 
 def color_names(ctx: click.Context | None = None) -> Iterable[str]:

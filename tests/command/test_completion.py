@@ -100,6 +100,29 @@ def test_parts_and_layers_of_a_file(desk):
         assert offered(desk, line) == []
 
 
+def test_keys_of_stdin(desk):
+    assert offered(desk, "stack base.png -::al") == ["-::alpha="]
+    assert offered(desk, "stack base.png -::alpha=lu") == ["-::alpha=luminance"]
+
+
+def test_what_is_no_file_is_not_asked(desk):
+    """A pipe that nobody writes to would be waited for, and a terminal."""
+    os.mkfifo(desk / "pipe.exr")
+    for path in ("-", "pipe.exr", "/dev/zero", "folder"):
+        assert offered(desk, f"stack {path}::layer=") == []
+
+
+def test_names_that_are_no_text_are_left_out(desk):
+    """A shell reads lines, and a LAYER has no commas in a value."""
+    planes = {f"{layer}{c}": np.zeros((2, 3), np.float16) for layer in ("a,b.", "c.") for c in "RGBA"}
+    exrfile.write(desk / "commas.exr", planes)
+    assert offered(desk, "stack commas.exr::layer=") == ["commas.exr::layer=c"]
+    for name in (b"new\nline.png", b"latin\xe9.png", b"tab\t.png"):
+        with open(os.path.join(os.fsencode(desk.folder), name), "wb"):
+            pass
+    assert offered(desk, "stack ") == ["TOP.PNG", "base.png", "commas.exr", "folder/", "my file.png", "parts.exr", "top.png"]
+
+
 @pytest.mark.parametrize(
     ("line", "without"),
     [
