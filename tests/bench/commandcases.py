@@ -280,6 +280,8 @@ def infos() -> Iterator[str]:
     yield "hpcomp info - < roads.png; hpcomp info --json - < parts.exr"
     yield "for s in bash zsh fish; do hpcomp completion $s; done"
     yield "_HPCOMP_COMPLETE=bash_complete COMP_WORDS='hpcomp stack --sp' COMP_CWORD=2 hpcomp"
+    for line in ("stack roads.png::op=a", "stack roads.png -o a.exr --compression ", "batch "):
+        yield f"_HPCOMP_COMPLETE=fish_complete COMP_LINE='hpcomp {line}' hpcomp"
 
 
 def helps() -> Iterator[str]:
