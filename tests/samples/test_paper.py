@@ -7,6 +7,7 @@ import importlib.util
 import json
 import os
 import re
+import shutil
 import signal
 import stat
 import subprocess
@@ -651,6 +652,37 @@ def test_what_make_cannot_do_is_said_in_one_line(tmp_path):
         (line,) = done.stderr.splitlines()
         assert what in line
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("how", ["path", "link", "in PATH"])
+def test_scripts_run_with_the_python_that_is_beside_hpcomp(tmp_path, how):
+    environment = tmp_path / "environment" / "bin"
+    environment.mkdir(parents=True)
+    for name in ("hpcomp", "python3"):
+        shutil.copy("/bin/true", environment / name)
+    (tmp_path / "link").symlink_to(environment / "hpcomp")
+    given = {"path": environment / "hpcomp", "link": tmp_path / "link", "in PATH": "hpcomp"}[how]
+    path = f"{environment}:/usr/bin:/bin" if how == "in PATH" else "/usr/bin:/bin"
+    done = subprocess.run(
+        ["make", "-C", PAPER, "--dry-run", f"OUT={tmp_path}/out", f"HPCOMP={given}"],
+        env={"PATH": path}, capture_output=True, text=True,
+    )  # fmt: skip
+    assert (done.returncode, done.stderr) == (0, "")
+    scripts = re.findall(r"^(\S+) (?:slices|flat|sheets)\.py ", done.stdout, re.MULTILINE)
+    assert len(scripts) > 20
+    assert set(scripts) == {str(environment / "python3")}
+
+
+def test_a_python_is_taken_from_path_where_none_is_beside_hpcomp(tmp_path):
+    shutil.copy("/bin/true", tmp_path / "hpcomp")
+    for given in (tmp_path / "hpcomp", "no-such-command"):
+        done = subprocess.run(
+            ["make", "-C", PAPER, "--dry-run", f"OUT={tmp_path}/out", f"HPCOMP={given}"],
+            env={"PATH": "/usr/bin:/bin"}, capture_output=True, text=True,
+        )  # fmt: skip
+        assert done.returncode == 0
+        scripts = re.findall(r"^(\S+) slices\.py ", done.stdout, re.MULTILINE)
+        assert set(scripts) == {"python3"}
 
 
 def test_a_failed_command_leaves_no_figure(tmp_path):
