@@ -38,10 +38,10 @@ keys, unless the whole argument is an existing file. A value cannot contain a co
 
 \b
   hpcomp stack base.png 'roads.png::opacity=0.6' rivers.exr -o map.png
-  hpcomp stack base.png 'mask.png::op=dst-in,alpha=luminance' -o cut.exr
+  hpcomp stack base.png 'mask.png::op=dst-in,tint=white' -o cut.exr
   hpcomp stack base.png 'mask.png::tint=#377eb8,opacity=0.6' -o map.png
   hpcomp stack base.png roads.png -o map.png --report map.html --provenance origin.exr
-  hpcomp stack bg.%04d.exr 'fg.####.exr::opacity=0.5' -o out.%04d.exr --frames 1-3
+  hpcomp stack base.png 'fg.####.exr::opacity=0.5' -o out.%04d.exr --frames 1-3
   cat a.png | hpcomp stack b.exr - -o - --format png > c.png
 """
 

@@ -36,6 +36,7 @@ def warn_of_layers(rules: StackRules, readers: Sequence[LayerReader], notices: N
         if operator is not None and operator.needs_alpha and not reader.has_alpha:
             notices.warn(
                 f"{reader.label} has no alpha, so '{operator.name}' does nothing useful with it: "
+                "of a grey mask, tint=white makes one of its stored values, as other tools do; "
                 "alpha=luminance makes one of its light"
             )
         if reader.part.pixel_aspect != readers[0].part.pixel_aspect:

@@ -950,7 +950,7 @@ WARNINGS = {
     ),
     "mask without alpha": (
         4, lambda desk: exrfile.write(desk / "grey.exr", planes(0.5, names="Y")),
-        ["base.exr", "grey.exr::op=dst-in"], ["layer 1 (grey.exr)", "no alpha", "alpha=luminance"],
+        ["base.exr", "grey.exr::op=dst-in"], ["layer 1 (grey.exr)", "no alpha", "tint=white", "alpha=luminance"],
     ),
 }  # fmt: skip
 

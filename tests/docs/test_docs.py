@@ -4,9 +4,11 @@ import ast
 import importlib.metadata
 import importlib.util
 import inspect
+import itertools
 import json
 import os
 import re
+import shlex
 import shutil
 import subprocess
 import sys
@@ -14,6 +16,7 @@ import typing
 from pathlib import Path
 
 import click
+import command
 import deepfile
 import exrfile
 import numpy as np
@@ -567,6 +570,66 @@ def test_the_commands_of_the_manual_run(workplace, line):
     assert bool(run.stdout) == (not outputs)
 
 
+def stack_examples(lines):
+    """(line, the arguments of its `hpcomp stack`) of each line that makes pictures by that alone."""
+    for line in lines:
+        program, command, *arguments = shlex.split(line)
+        if (program, command) == ("hpcomp", "stack") and "--save-job" not in arguments:
+            yield line, arguments
+
+
+def layers_of(arguments):
+    with click.Context(cli) as parent:
+        return (
+            cli.get_command(parent, "stack")
+            .make_context("stack", list(arguments), parent)
+            .params["layers"]
+        )
+
+
+def outputs_of(folder, arguments):
+    """{name: pixels} of what the stack makes there; None where it refuses."""
+    before = {path: path.stat().st_mtime_ns for path in folder.iterdir()}
+    if command.hpcomp("stack", *arguments, "-q", cwd=folder).code:
+        return None
+    made = [path for path in folder.iterdir() if before.get(path) != path.stat().st_mtime_ns]
+    (ending,) = {Path(a).suffix for o, a in itertools.pairwise(arguments) if o == "-o"}
+    return {path.name: hpcomp.read_layer(path).pixels for path in made if path.suffix == ending}
+
+
+def assert_every_layer_counts(folder, arguments):
+    """Without any of its layers the stack gives another picture, or none."""
+    layers, whole = layers_of(arguments), outputs_of(folder, arguments)
+    assert whole
+    for layer in layers if len(layers) > 1 else ():
+        rest = [argument for argument in arguments if argument != layer]
+        less = outputs_of(folder, rest)
+        for name in whole if less is not None else ():
+            assert not np.array_equal(less[name], whole[name]), f"{layer} changes nothing in {name}"
+
+
+@pytest.mark.parametrize("line", dict(stack_examples(HPCOMP_LINES)))
+def test_every_layer_of_an_example_of_the_manual_counts(workplace, line):
+    ((_, arguments),) = stack_examples([line])
+    assert_every_layer_counts(workplace, arguments)
+
+
+def test_frames_of_the_manual_differ_by_their_numbered_layer_alone(workplace):
+    examples = [arguments for line, arguments in stack_examples(BATCH_LINES) if "--frames" in line]
+    assert examples
+    for arguments in examples:
+        made = outputs_of(workplace, arguments)
+        assert len(made) >= 2
+        for name, pixels in made.items():
+            frame = re.search(r"\d+", name)[0]
+            layers = [re.sub("%04d|####", frame, layer) for layer in layers_of(arguments)]
+            assert frame in "".join(layers)
+            hpcomp.stack(layers, "expected.exr")
+            assert np.array_equal(pixels, hpcomp.read_layer("expected.exr").pixels)
+        first, *others = made.values()
+        assert not any(np.array_equal(first, other) for other in others)
+
+
 def test_the_pictures_of_both_blendings_differ(workplace):
     commands = [
         "hpcomp stack base.png 'roads.png::opacity=0.6' rivers.exr -o map.png",
@@ -686,6 +749,20 @@ def test_an_example_of_readme_runs_as_it_is_typed(readme_runs, number):
         assert (folder / name).stat().st_size > 20
     shows = re.search(r"hpcomp (hues|explain|check|palette) ", code)
     assert bool(runs[number].stdout) == bool(shows)
+
+
+README_LINES = "".join(code for language, code in EXAMPLES if language == "sh").splitlines()
+
+
+@pytest.mark.parametrize(
+    "line", dict(stack_examples(line for line in README_LINES if line.startswith("hpcomp ")))
+)
+def test_every_layer_of_an_example_of_readme_counts(tmp_path, line):
+    if " - " in line:
+        pytest.skip("a pipe")
+    folder = shutil.copytree(ROOT / "samples" / "terrain" / "layers", tmp_path / "out")
+    ((_, arguments),) = stack_examples([line])
+    assert_every_layer_counts(folder, arguments)
 
 
 def test_the_examples_of_readme_show_what_it_says(readme_runs):
@@ -857,7 +934,10 @@ def test_docstring_of_a_function_states_what_it_must(name):
 
 def test_docstring_of_composite_gives_every_rule_its_default():
     documentation = words(inspect.getdoc(hpcomp.composite))
-    defaults = {"opacity": 1.0, **{name: STACK_OPTIONS[name].default for name in ("op", *ARRAY_RULES)}}
+    defaults = {
+        "opacity": 1.0,
+        **{name: STACK_OPTIONS[name].default for name in ("op", *ARRAY_RULES)},
+    }
     for name, value in defaults.items():
         default = f'"{value}"' if isinstance(value, str) else str(value)
         assert f"`{name}` {default}" in documentation

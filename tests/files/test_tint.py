@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import re
 import warnings
+from pathlib import Path
 
 import command
 import exrfile
 import numpy as np
 import pngfile
 import pytest
+from PIL import Image
 
 import hpcomp
 from hpcomp import HpcompWarning, InputError, LayerSpec, MismatchError, SettingError
+from hpcomp.engine import choice as engine
 
 FLOAT32 = 2e-7
 TINT = "#377eb8"
@@ -246,3 +250,50 @@ def test_the_command_says_what_is_wrong(tmp_path):
     run = desk.run("stack", "a.png::tint=blu", "-o", "out.png")
     assert run.code == 2
     assert "'blu' is not a colour: write a CSS colour such as #ff8800 or blue" in run.stderr
+
+
+# ---- cutting a stack with a mask -----------------------------------------------------------------
+
+
+@pytest.fixture
+def feathered(tmp_path, monkeypatch):
+    """In a folder with picture.png, of random colours, and feathered.png, every grey of 8 bits.
+
+    What Pillow makes of them: the mask as the alpha of the picture.
+    """
+    monkeypatch.chdir(tmp_path)
+    mask = np.tile(np.arange(256, dtype=np.uint8), (16, 1))
+    colors = np.random.default_rng(7).integers(0, 256, (*mask.shape, 3), np.uint8)
+    picture = Image.fromarray(colors)
+    picture.save("picture.png")
+    Image.fromarray(mask).save("feathered.png")
+    picture.putalpha(Image.fromarray(mask))
+    return np.array(picture)
+
+
+def cut(keys):
+    """The picture cut with the mask, RGBA of 8 bits as it is stored."""
+    hpcomp.stack(["picture.png", f"feathered.png::{keys}"], "cut.png")
+    return np.array(Image.open("cut.png"))
+
+
+@pytest.mark.parametrize("tint", ["white", "#ffffff", "navy"])
+@pytest.mark.parametrize("engine_name", engine.NAMES)
+def test_a_tinted_mask_cuts_as_putalpha_does(feathered, monkeypatch, tint, engine_name):
+    monkeypatch.setenv(engine.VARIABLE, engine_name)
+    found = cut(f"op=dst-in,tint={tint}")
+    assert np.array_equal(found[..., 3], feathered[..., 3])
+    there = feathered[..., 3] > 0  # a PNG of hpcomp has no colour that is not seen
+    assert np.array_equal(found[there], feathered[there])
+
+
+def test_a_tinted_mask_cuts_out_what_putalpha_would_leave(feathered):
+    found = cut("op=dst-out,tint=white")
+    assert np.array_equal(found[..., 3], 255 - feathered[..., 3])
+
+
+def test_a_mask_by_its_light_has_another_alpha(feathered):
+    difference = np.abs(cut("op=dst-in,alpha=luminance") - feathered.astype(float))[..., 3]
+    page = (Path(__file__).parents[2] / "man" / "hpcomp-files.7.md").read_text(encoding="utf-8")
+    (said,) = re.findall(r"alpha differs by up to (\d+) of\s+255", page)
+    assert difference.max() == int(said)
