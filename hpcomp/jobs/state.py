@@ -219,12 +219,13 @@ class State:
 
     def entry(self, job: Job, of_this_run: bool) -> Entry | None:
         """What is known of a job; `of_this_run`: only if this run, or what it resumes, did it."""
-        entry = self._entries.get(os.path.abspath(job.output))
+        entry = self._entries.get(job.output)
         return None if entry and of_this_run and entry.get("run") != self._head["run"] else entry
 
     def add(self, job: Job, entry: Entry) -> None:
         """Remembers a job that was done."""
-        line = {**entry, "output": os.path.abspath(job.output), "run": self._head["run"]}
+        # As it was given: in a folder that is moved or copied, what was made is still current.
+        line = {**entry, "output": job.output, "run": self._head["run"]}
         with writing(self.path):
             self._file.write(f"{json.dumps(line)}\n".encode())
 
