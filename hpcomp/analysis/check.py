@@ -11,7 +11,7 @@ import logging
 import math
 import os
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import product
 from pathlib import PurePath
@@ -31,7 +31,7 @@ from ..imagefile.reading import STRIP_ROWS, LayerReader
 from ..imagefile.source import codec_threads
 from ..layers.budget import Budget, share_out
 from ..layers.layerspec import LayerSpec, check_stdin, layer_spec
-from ..layers.notices import Notices, warn_of_problems, warn_of_zeroed
+from ..layers.notices import Notices, warn_of_problems, warn_of_ramps, warn_of_zeroed
 from ..layers.opening import opened_layer
 from ..layers.placing import Layer, PlacedLayer, layer_specs, opened_stack, rules_of
 from ..measures.labels import (
@@ -51,6 +51,7 @@ from ..measures.labels import (
     share,
     summed,
 )
+from ..measures.ramps import Meetings, Ramp, meetings, ramps
 from ..options import (
     DEFAULTS,
     OPTIONS,
@@ -117,7 +118,8 @@ class CheckSums(Sums):
 
     `pixels`: all of the picture; `unmeasured`: with NaN or the like, left out of the rest;
     `visible`: with alpha or light; `chromatic` and `foreign` of these. `chroma_in`: Σ|t| of the
-    layers, and `chroma_out` what of it the picture has. `labels`: one for each.
+    layers, and `chroma_out` what of it the picture has. `labels`: one for each. `meetings`: how far
+    apart the hues of the two strongest contributors are, where the stack adds them with ⊕.
     """
 
     labels: tuple[LabelSums, ...]
@@ -130,6 +132,7 @@ class CheckSums(Sums):
     foreign_chroma: int = 0
     chroma_in: int = 0
     chroma_out: int = 0
+    meetings: Meetings = field(default_factory=Meetings)
 
 
 @dataclass(frozen=True)
@@ -148,6 +151,8 @@ class CheckResult:
     """What `check` found: the measures of a picture, and how each rule ended.
 
     `against`: `layers` or `hues`. `labels`: the layers, or the hues, and those that were required.
+    `ramps`: the pairs of contributors of which one has a ramp of hues that crosses the other's, so
+    that ⊕ makes a vivid ring there with grey beside it.
     """
 
     image: str
@@ -156,6 +161,7 @@ class CheckResult:
     labels: tuple[ExpectedHue, ...]
     sums: CheckSums
     verdicts: tuple[Verdict, ...] = ()
+    ramps: tuple[Ramp, ...] = ()
 
     @property
     def passed(self) -> bool:
@@ -270,7 +276,7 @@ def check(
     if not given.
     Returns: a `CheckResult`, whose `passed` tells how it ended.
     Errors: `SettingError`, also where no rule is given; `InputError`, `MismatchError`.
-    Warnings: `HpcompWarning`; errors with `strict`.
+    Warnings: `HpcompWarning`, also of `ramps`; errors with `strict`.
     """
     max_gray = older_spelling(options, "max_grey", max_gray)
     checked = StackOptions.of(options, base=asked)
@@ -325,12 +331,15 @@ def check(
         gauge = _Gauge(rules, settings, labels, listed)
         sums = _measured(placed, below, gauge, checked.resources)
         warn_of_zeroed([placed.reader, *(layer.reader for layer in below)], notices)
+    crossing = tuple(ramps(sums.meetings, rules.hue_tolerance))
+    warn_of_ramps(crossing, specs, rules.hue_tolerance, notices)
     result = CheckResult(
         os.fspath(picture.path),
         "hues" if stack is None else "layers",
         settings,
         tuple(labels),
         sums,
+        ramps=crossing,
     )
     return replace(result, verdicts=tuple(_verdicts(result, limits, required, least)))
 
@@ -600,6 +609,7 @@ class _Gauge:
             foreign_chroma=in_units(picture.size[foreign]),
             chroma_in=in_units(total) if of_layers else 0,
             chroma_out=in_units(np.minimum(picture.size, total)) if of_layers else 0,
+            meetings=meetings(terms, self.rules) if of_layers else Meetings(),
         )
 
     def _label_sums(

@@ -94,6 +94,9 @@ def command(
     contributes to that pixel. The rounding of the file is allowed for: half a code value of each
     channel, or half a unit in the last place of a half-float. Lossy compression is not.
 
+    Layers whose hues run across a hue of another layer, as those of photographs do, are warned of:
+    hue-preserving blending makes vivid rings of them, with grey beside.
+
     \b
       hpcomp check map.png base.png 'roads.png::opacity=0.6' rivers.exr --max-foreign 0.1%
       hpcomp check map.png base.png 'roads.png::opacity=0.6' rivers.exr --require-hue layer:roads

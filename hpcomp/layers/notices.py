@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
 from ..blending.rules import StackRules
 from ..color.quantization import LARGEST_HALF, Losses
 from ..errors import HpcompWarning, InputError, InputWarning, MismatchError, one_line
 from ..imagefile.reading import LayerReader
+from ..measures.ramps import Ramp
+from .layerspec import LayerSpec
 
 if TYPE_CHECKING:  # only `flatten` needs it
     from ..imagefile.deepreading import DeepReader
@@ -58,6 +60,19 @@ def warn_of_zeroed(readers: Sequence[LayerReader], notices: Notices) -> None:
                 f"{reader.label}: {_count(reader.zeroed_pixels)} NaN or infinite "
                 "and became transparent"
             )
+
+
+def warn_of_ramps(
+    ramps: Iterable[Ramp], specs: Sequence[LayerSpec], hue_tolerance: float, notices: Notices
+) -> None:
+    names = [*(spec.label(number) for number, spec in enumerate(specs)), "the background"]
+    for ramp in ramps:
+        notices.warn(
+            f"hues of {names[ramp.lower]} or {names[ramp.upper]} run across a hue of the other: "
+            f"where they are within {hue_tolerance:g}° the picture is vivid, and beside that grey. "
+            "stack with --hue-tolerance 30, or with --blending foremost or traditional, has no "
+            "such ring"
+        )
 
 
 def warn_of_losses(label: str, losses: Losses, notices: Notices) -> None:

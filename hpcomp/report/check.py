@@ -39,6 +39,15 @@ def as_data(result: CheckResult) -> dict[str, Any]:
         "foreign_share": result.foreign_share,
         "foreign_chroma_share": result.foreign_chroma_share,
         grey: result.grey_share,
+        "ramps": [
+            {
+                "lower": ramp.lower,
+                "upper": ramp.upper,
+                "pixels": ramp.pixels,
+                "vivid_share": ramp.vivid_share,
+            }
+            for ramp in result.ramps
+        ],
         "labels": [
             {
                 "label": label.text,

@@ -78,7 +78,7 @@ def elsewhere(monkeypatch):
 
 
 def test_outputs_hold_no_folder_user_host_or_time(place, tmp_path, elsewhere):
-    before, first = place
+    first_folder, first = place
     folder = tmp_path / "second-place"
     put_layers(folder)
     elsewhere("somebody-else")
@@ -93,6 +93,7 @@ def test_outputs_hold_no_folder_user_host_or_time(place, tmp_path, elsewhere):
             assert content == first[name], name
         for word in ("somebody-else", folder.name, str(tmp_path.parent)):
             assert word.encode() not in content, name
+        assert first_folder.name.encode() not in first[name], name
 
 
 def test_paths_stand_as_they_were_given_and_never_in_a_picture(place, tmp_path):
