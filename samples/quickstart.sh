@@ -41,7 +41,8 @@ recent "$venv/bin/python" ||
     fail "$venv has no pip, as after an interrupted start: remove it and try again"
 
 # A user-wide `pip install --user` setting cannot be obeyed inside a virtual environment.
-echo "Installing hpcomp (the first time, this fetches its libraries and compiles its kernel)"
+echo "Installing hpcomp (the first time, this fetches its libraries and compiles its kernel: a minute" \
+    "or two without a word)"
 # Compiled files stay in the environment, so that the next time only what changed is compiled.
 PIP_USER=0 "$venv/bin/python" -m pip install --quiet --disable-pip-version-check \
     --config-settings build-dir="$venv/build" "$root" ||
@@ -68,3 +69,5 @@ printf '\nThe pictures are in %s:\n' "$PWD/out"
 echo "  traditional.png      the colours are added: new hues appear where labels overlap"
 echo "  hue-preserving.png   the same layers: every hue is a label's"
 echo "  side-by-side.png     both, with a legend"
+printf '\nhpcomp is in %s. Make a picture of your own, in %s:\n' "$venv/bin" "$root"
+echo "  .venv/bin/hpcomp stack samples/terrain/layers/hillshade.png samples/terrain/layers/steep.exr -o first.png"

@@ -14,7 +14,11 @@ root=$(CDPATH='' cd -- "$(dirname -- "$0")/.." && pwd)
 venv=${VENV:-$root/.venv}
 python=${PYTHON:-python3}
 
-[ -x "$venv/bin/python" ] || "$python" -m venv "$venv"
+[ -x "$venv/bin/python" ] || {
+    echo "Making $venv"
+    "$python" -m venv "$venv"
+}
+echo "Installing hpcomp and what its tests need into $venv (the first time, a few minutes without a word)"
 # Compiled files stay in the environment, so that the next time only what changed is compiled.
 PIP_USER=0 "$venv/bin/python" -m pip install --quiet --disable-pip-version-check \
     --config-settings build-dir="$venv/build" "$root[test]"
@@ -26,6 +30,7 @@ PATH=$venv/bin:$PATH
 case ${1-} in
 "")
     export HPCOMP_HYPOTHESIS="${HPCOMP_HYPOTHESIS:-quick}"
+    echo "Running the tests, two files at a time: a few minutes on an idle machine"
     code=0
     pytest --numprocesses 2 --dist loadfile -m "not slow and not thorough" || code=$?
     echo "Slow tests, whole products and more random examples: sh tests/run.sh --all"
@@ -33,6 +38,7 @@ case ${1-} in
     ;;
 --all)
     shift
+    echo "Running all tests, two files at a time: this may take an hour"
     exec pytest --numprocesses 2 --dist loadfile "$@"
     ;;
 *)

@@ -685,13 +685,18 @@ SETUP = {"sh samples/quickstart.sh\nsh tests/run.sh\n", "pip install .\n"}
 
 README_BLOCKS = re.findall(r"^```(\w+)\n(.*?)^```$", README, re.MULTILINE | re.DOTALL)
 EXAMPLES = [(language, code) for language, code in README_BLOCKS if code not in SETUP]
+#: The command at the end of the quick start, for the root of the checkout; and what begins the examples
+#: that run in the folder of its pictures.
+(FIRST,) = re.findall(r"^\.venv/bin/hpcomp stack .*\n", README, re.MULTILINE)
+(BEGIN,) = re.findall(r"^\. \.venv/bin/activate\n(?:c[dp] .*\n)+", README, re.MULTILINE)
 
 
 def test_every_block_of_readme_is_run():
     assert README.count("```") == 2 * len(README_BLOCKS)
     assert {code for _, code in README_BLOCKS} >= SETUP
     assert {language for language, _ in EXAMPLES} == {"sh", "python"}
-    assert EXAMPLES[0][1].startswith(". .venv/bin/activate\ncd ")
+    assert EXAMPLES[0] == ("sh", FIRST)
+    assert EXAMPLES[1][1] == BEGIN
     for code in SETUP:
         for line in code.splitlines():
             assert (ROOT / line.split()[-1]).exists()
@@ -708,6 +713,7 @@ def readme_runs(tmp_path_factory):
     (root / ".venv" / "bin").mkdir(parents=True)
     activate = f"PATH='{Path(sys.executable).parent}':$PATH\nexport PATH\n"
     (root / ".venv" / "bin" / "activate").write_text(activate)
+    (root / ".venv" / "bin" / "hpcomp").symlink_to(command.COMMAND)
     shutil.copytree(ROOT / "samples" / "terrain" / "layers", root / "samples/terrain/layers")
     folder = root / "samples" / "terrain" / "out"
     folder.mkdir()
@@ -715,16 +721,16 @@ def readme_runs(tmp_path_factory):
     (root / "without").mkdir()
     (root / "without" / "matplotlib.py").write_text("raise ImportError('not installed')\n")
     environment = {**os.environ, "PYTHONPATH": str(root / "without")}
-    begin = EXAMPLES[0][1]
+    again = BEGIN.replace("cp ../layers/* .\n", "")
     runs = []
     for language, code in EXAMPLES:
-        if code == begin:
-            script = begin
+        if code in (FIRST, BEGIN):
+            script = code
         elif language == "sh":
-            script = begin.replace("cp ../layers/* .\n", "") + code
+            script = again + code
         else:
             (folder / "example.py").write_text(code)
-            script = begin.replace("cp ../layers/* .\n", "") + "python example.py\n"
+            script = again + "python example.py\n"
         runs.append(
             subprocess.run(
                 ["sh", "-euc", script], cwd=root, env=environment, capture_output=True, text=True
@@ -745,8 +751,9 @@ def test_an_example_of_readme_runs_as_it_is_typed(readme_runs, number):
         assert runs[number].stdout.splitlines() == printed(code) != []
         return
     outputs = re.findall(r"(?:-o|>|--report|--depfile|--log) ([\w.]+)", code)
+    place = folder.parents[2] if code == FIRST else folder
     for name in outputs:
-        assert (folder / name).stat().st_size > 20
+        assert (place / name).stat().st_size > 20
     shows = re.search(r"hpcomp (hues|explain|check|palette) ", code)
     assert bool(runs[number].stdout) == bool(shows)
 
@@ -848,10 +855,40 @@ def test_the_scripts_that_readme_names_exist(script):
     assert (ROOT / script).is_file()
 
 
+STEPS = {
+    "": ["Making", "python -m venv", "Installing", "python -m pip install", "Running the tests",
+         "pytest --numprocesses 2", "Slow tests"],
+    "--all": ["Making", "python -m venv", "Installing", "python -m pip install", "Running all tests",
+              "pytest --numprocesses 2"],
+    "tests/docs": ["Making", "python -m venv", "Installing", "python -m pip install", "pytest tests/docs"],
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("argument", STEPS)
+def test_the_script_of_the_tests_says_each_step_before_it_takes_it(tmp_path, argument):
+    said = """#!/bin/sh
+echo "${0##*/} $*"
+[ "$2" != venv ] || { mkdir -p "$3/bin" && cp "$0" "$3/bin/python" && cp "$0" "$3/bin/pytest"; }
+"""
+    (tmp_path / "python").write_text(said)
+    (tmp_path / "python").chmod(0o755)
+    run = subprocess.run(
+        ["sh", ROOT / "tests" / "run.sh", *filter(None, [argument])],
+        env={"PATH": os.environ["PATH"], "PYTHON": tmp_path / "python", "VENV": tmp_path / "venv"},
+        capture_output=True, text=True,
+    )  # fmt: skip
+    assert (run.returncode, run.stderr) == (0, "")
+    lines = run.stdout.splitlines()
+    assert len(lines) == len(STEPS[argument])
+    for line, begin in zip(lines, STEPS[argument], strict=True):
+        assert line.startswith(begin)
+
+
 def test_readme_shows_the_picture_and_both_commands_before_the_rest():
     start = README.partition("## Install")[0]
     assert "samples/terrain/terrain.png" in start
     assert "sh samples/quickstart.sh\nsh tests/run.sh\n" in start
+    assert FIRST in start
 
 
 def test_readme_is_short():

@@ -197,6 +197,9 @@ def pictures(checkout, tmp_path_factory):
         assert (run.returncode, run.stderr) == (0, "")
     folder = checkout / "samples" / "terrain" / "out"
     assert str(folder) in run.stdout
+    assert str(checkout / ".venv" / "bin") in run.stdout
+    (command,) = re.findall(r"^ +(\.venv/bin/hpcomp .*\n)", run.stdout, re.MULTILINE)
+    assert command in (ROOT / "README.md").read_text()  # where it is run
     return folder
 
 
