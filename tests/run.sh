@@ -38,7 +38,7 @@ case ${1-} in
     ;;
 --all)
     shift
-    echo "Running all tests, two files at a time: this may take an hour"
+    echo "Running all tests, two files at a time: far longer than the plain run"
     exec pytest --numprocesses 2 --dist loadfile "$@"
     ;;
 *)
