@@ -295,5 +295,5 @@ def test_a_tinted_mask_cuts_out_what_putalpha_would_leave(feathered):
 def test_a_mask_by_its_light_has_another_alpha(feathered):
     difference = np.abs(cut("op=dst-in,alpha=luminance") - feathered.astype(float))[..., 3]
     page = (Path(__file__).parents[2] / "man" / "hpcomp-files.7.md").read_text(encoding="utf-8")
-    (said,) = re.findall(r"alpha differs by up to (\d+) of\s+255", page)
+    (said,) = re.findall(r"alpha differs by up to (\d+)\s+of 255", page)
     assert difference.max() == int(said)
