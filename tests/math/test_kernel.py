@@ -1162,7 +1162,7 @@ class TestBinding:
         [
             *({"counts": np.array(counts)} for counts in ([3], [3, 3], [-1, 6], [2**62, 2**62], [[3, 2]], [3.0, 2.0])),
             *({"p": p} for p in (np.ones((5, 2)), np.ones(5), np.ones((2, 5), np.float32), np.ones((2, 10))[:, ::2])),
-            *({"kept": kept} for kept in (np.empty(4), np.empty((1, 5)), np.empty(5, np.float32), None)),
+            *({"kept": kept} for kept in (np.zeros(4), np.zeros((1, 5)), np.zeros(5, np.float32), None)),
             {"p": unaligned("f8", (2, 5))}, {"kept": unaligned("f8", (5,))},
             {"counts": unaligned("i8", (2,))}, {"rules": None},
             {"rules": make_rules(blending=_kernel.Blending.FOREMOST)},
