@@ -83,8 +83,8 @@ def warn_of_losses(label: str, losses: Losses, notices: Notices) -> None:
         (losses.light_without_alpha, "light without alpha, which PNG cannot hold: "
                                      "put a --background under them, or write EXR"),
         (losses.not_a_number, "NaN and became transparent"),
-        (losses.beyond_half, f"beyond {LARGEST_HALF:g}, the most that half-floats hold, and became darker: "
-                             "write --depth float"),
+        (losses.beyond_half, f"beyond {LARGEST_HALF:g}, the most that half-floats hold, "
+                             "and became darker: write --depth float"),
     ):  # fmt: skip
         if count:
             notices.warn(f"{label}: {_count(count)} {what}")

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ..blending.addition import BLENDINGS
 from ..blending.rules import StackRules
-from ..color.primaries import REC709, Primaries
+from ..color.primaries import REC709
 from ..color.quantization import Losses
 from ..color.samples import Rgba, Samples, Strip, encode
 from ..engine import choice as engine
@@ -133,7 +133,7 @@ class Recorder:
         """Around the pass over the strips of `window`."""
         self._rules, self._window, self._canvas = rules, window, canvas
         self.summary = StackSummary.none(rules, self._settings, self._bins)
-        self._preview = _PreviewSums(window, rules.primaries) if self._with_preview else None
+        self._preview = _PreviewSums(window, rules) if self._with_preview else None
         self._provenance = None
         if self._provenance_path is not None:
             header = PictureHeader(window, canvas, pixel_aspect=pixel_aspect)
@@ -245,8 +245,8 @@ class _PreviewSums:
     Rows are added one by one, so that the sums do not depend on how they arrive.
     """
 
-    def __init__(self, window: Window, primaries: Primaries) -> None:
-        self._primaries = primaries
+    def __init__(self, window: Window, rules: StackRules) -> None:
+        self._rules = rules
         self._scale = preview_scale(window.width, window.height)
         shape = -(-window.height // self._scale), -(-window.width // self._scale)
         self._sums = np.zeros((2, *shape, 4))
@@ -279,4 +279,5 @@ class _PreviewSums:
     def _picture(self, sums: NDArray[np.float64]) -> Any:
         with np.errstate(invalid="ignore"):
             means = (sums / self._areas).astype(np.float32)
-        return encode(means, "uint8", Losses(), self._primaries)
+        rules = self._rules
+        return encode(means, "uint8", Losses(), rules.primaries, space_name=rules.space.name)

@@ -1167,7 +1167,7 @@ class TestBinding:
             {"counts": unaligned("i8", (2,))}, {"rules": None},
             {"rules": make_rules(blending=_kernel.Blending.FOREMOST)},
         ],
-        ids=str,
+        ids=lambda changed: next(iter(changed)),
     )  # fmt: skip
     def test_runs(self, changed):
         right = {
