@@ -19,6 +19,7 @@ from ..geometry import Window
 from .deepchunks import COMPRESSIONS, DeepChunks, DeepCounts, layout_of
 from .description import describe
 from .interpretation import AS_STORED, Interpretation
+from .omissions import omissions
 from .parts import ColorGroup, ImageFile, Part, choose, deep_alpha
 from .rawfile import RawFile
 from .seekable import temporary
@@ -46,6 +47,7 @@ def open_deep(
     with contextlib.ExitStack() as opened:
         file = describe(path, label)
         chosen, group = choose(file, part=part, layer=layer, deep=True, label=label)
+        left_out = interpretation.unanswered(omissions(file, chosen, group))
         if chosen.compression not in COMPRESSIONS.values():
             from .openimageio import repack_deep
 
@@ -56,6 +58,7 @@ def open_deep(
             file = describe(copy, label)
             chosen, group = choose(file, layer=layer, deep=True, label=label)
         reader = DeepReader(file, chosen, group, interpretation, label)
+        reader.omissions = left_out  # of the file that was named, not of a copy of one part
         yield opened.enter_context(contextlib.closing(reader))
 
 
@@ -77,6 +80,7 @@ class DeepReader:
         self.part, self.nonfinite = part, interpretation.nonfinite
         self.label = label or file.path
         self.problems = interpretation.problems_of(part, self.label)
+        self.omissions = interpretation.unanswered(omissions(file, part, group))
         self.decoding = interpretation.decoding_of(file, part)
         self._color, self._depth = _channel_names(part, group, self.label)
         raw = RawFile(file.path, file.identity, self.label)

@@ -14,6 +14,7 @@ from ..geometry import Window
 from . import exrscanlines, pngheader, pngscanlines
 from .exrscanlines import ExrLayout
 from .header import METRES_PER_INCH
+from .omissions import omissions_of_png
 from .parts import Channel, ImageFile, Part, color_groups
 from .pngscanlines import PngLayout
 from .rawfile import identity_of
@@ -130,6 +131,7 @@ def _png_part(
         encoding_source=source,
         icc_profile=header.icc_profile,
         problems=tuple(f"{problem} is not honoured" for problem in problems),
+        omissions=omissions_of_png(header),
         layout=layout,
     )
 
@@ -159,6 +161,7 @@ def _exr_part(spec: Any, index: int, layout: ExrLayout | None) -> Part:
         encoding_source=source,
         icc_profile="",
         problems=tuple(problems),
+        omissions=(),
         layout=layout if layout and layout.window == window else None,
     )
 

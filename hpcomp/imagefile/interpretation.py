@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 from ..color.css import css_color
@@ -9,7 +10,7 @@ from ..color.encodings import color_space
 from ..color.samples import Decoding
 from ..errors import InputError, unknown_name
 from .forms import NONFINITE_POLICIES
-from .parts import ImageFile, Part
+from .parts import ImageFile, Omission, Part
 
 
 def check_nonfinite(policy: str) -> str:
@@ -26,7 +27,8 @@ class Interpretation:
     `alpha`: one of `encodings.ALPHA_MODES`, or None for the format's own. `colorspace`: a name of
     `encodings.COLOR_SPACES`, or None for what the file says. `tint`: a CSS colour for a mask,
     or None. `nonfinite`, on NaN and Inf: `error`, `zero` (such a pixel becomes transparent black,
-    such a deep sample is left out), `keep`.
+    such a deep sample is left out), `keep`. `given`: the names of all settings of the layer that
+    are given, with which its user says what is meant.
     Errors: `SettingError` for an unknown policy.
     """
 
@@ -34,6 +36,7 @@ class Interpretation:
     colorspace: str | None = None
     tint: str | None = None
     nonfinite: str = "error"
+    given: frozenset[str] = frozenset()
 
     def __post_init__(self) -> None:
         check_nonfinite(self.nonfinite)
@@ -53,6 +56,10 @@ class Interpretation:
         if part.refusal:
             raise InputError(f"{label}: {part.refusal}")
         return part.problems
+
+    def unanswered(self, omissions: Iterable[Omission]) -> tuple[str, ...]:
+        """Those omissions that no setting says are meant, in words."""
+        return tuple(o.text for o in omissions if self.given.isdisjoint(o.answered_by))
 
     def decoding_of(self, file: ImageFile, part: Part) -> Decoding:
         """The decoding into Rec. 709. Errors: `SettingError` for an unknown name or colour."""

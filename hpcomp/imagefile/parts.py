@@ -36,11 +36,22 @@ class ColorGroup:
 
 
 @dataclass(frozen=True)
+class Omission:
+    """What a file holds that is not in the picture, and what to do, in words behind its label.
+
+    `answered_by`: the settings of a layer that say that this is meant.
+    """
+
+    text: str
+    answered_by: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
 class Part:
     """One picture of a file, and how it will be read; with a `layout`, without OpenImageIO.
 
     `encoding_source`: what said so. `icc_profile`: its name, honoured or not, or empty. `problems`:
-    what is not honoured.
+    what is not honoured. `omissions`: what of it is not read.
     """
 
     index: int
@@ -60,6 +71,7 @@ class Part:
     encoding_source: str
     icc_profile: str
     problems: tuple[str, ...]
+    omissions: tuple[Omission, ...]
     layout: ExrLayout | PngLayout | None = field(repr=False)
 
     @property

@@ -36,13 +36,16 @@ _FIRST_DATA = len(SIGNATURE) + 8
 _KEPT = {b"IHDR", b"tRNS", b"gAMA", b"cHRM", b"sRGB", b"iCCP", b"cICP", b"pHYs"}
 #: Those that must be understood.
 _CRITICAL = {b"IHDR", b"PLTE", b"IDAT", b"IEND"}
+#: Those that decide colour, and that the image data follow: without one the picture is another.
+_DECIDES_COLOR = {b"tRNS", b"gAMA", b"cHRM", b"sRGB", b"iCCP", b"cICP"}
 _LARGEST = 2**31 - 1
 #: Of the pieces of image data so many are kept at most: 512 MiB, as libpng cuts them.
 MOST_PIECES = 1 << 16
-#: The depths of each colour type: grey, RGB, palette, grey and alpha, RGBA.
+#: The depths of each colour type: grey, RGB, palette, grey and alpha, RGBA; and its channels.
 _DEPTHS = {0: (1, 2, 4, 8, 16), 2: (8, 16), 3: (1, 2, 4, 8), 4: (8, 16), 6: (8, 16)}
-#: What a byte of deflated data can unpack to: deflate makes at most 1032 of one.
-_MOST_BITS_OF_A_BYTE = 8 * 1032
+_CHANNELS = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}
+#: How many bytes deflate makes of one at most.
+_MOST_OF_A_BYTE = 1032
 _PIECE_BYTES = 1 << 20
 #: No display profile is larger; a hostile one is not unpacked beyond it.
 _PROFILE_BYTES = 1 << 24
@@ -75,6 +78,7 @@ class PngHeader:
     """What the chunks around the pixels say.
 
     `image_data`: offset and size of each IDAT that is not empty; of `MOST_PIECES` + 1 at most.
+    `dropped`: of each chunk that is left out, what is wrong with it.
     """
 
     width: int
@@ -84,6 +88,7 @@ class PngHeader:
     interlaced: bool
     image_data: tuple[tuple[int, int], ...] = field(repr=False)
     chunks: dict[bytes, bytes] = field(repr=False)
+    dropped: tuple[str, ...] = ()
 
     @property
     def pixels_per_metre(self) -> tuple[int, int] | None:
@@ -198,25 +203,41 @@ _SOURCES = {
 def read_header(path: str) -> PngHeader:
     """Walks a PNG from its signature to IEND, checking every chunk's CRC.
 
-    Errors: `InputError` (without the file's name) that says which chunk is damaged or missing.
+    A damaged chunk is left out where nothing of the picture depends on it, as libpng does. Errors:
+    `InputError` (without the file's name) that says which chunk is damaged or missing.
     """
     kept: dict[bytes, bytes] = {}
     image_data: list[tuple[int, int]] = []
-    image_bytes = 0
+    dropped: list[str] = []
+    image_bytes, begun, last = 0, False, b""
     with open(path, "rb") as file:
         if file.read(8) != SIGNATURE:
             raise InputError("not a PNG file: its signature is damaged")
-        for kind, data, offset, size in _chunks(file):
+        for chunk in _chunks(file):
+            kind, before, last = chunk.kind, last, chunk.kind
             if kind[:1].isupper() and kind not in _CRITICAL:
                 raise InputError(f"{_shown(kind)} must be understood and is not")
-            if (kind == b"IHDR") != (offset == _FIRST_DATA):
+            if not chunk.sound:
+                if not _can_be_dropped(kind):
+                    raise InputError(f"damaged PNG: the checksum of {_shown(kind)} is wrong")
+                dropped.append(f"the checksum of {_shown(kind)} is wrong, and it is left out")
+                continue
+            if (kind == b"IHDR") != (chunk.offset == _FIRST_DATA):
                 raise InputError(f"damaged PNG: {_shown(kind)} is out of place")
-            if kind == b"IDAT" and size:
-                image_bytes += size
-                if len(image_data) <= MOST_PIECES:
-                    image_data.append((offset, size))
-            if kind in _KEPT and kind not in kept:
-                kept[kind] = data
+            if kind == b"IDAT":
+                if begun and before != b"IDAT":
+                    raise InputError(
+                        f"damaged PNG: its IDAT chunks are not consecutive, {_shown(before)} is "
+                        "between them"
+                    )
+                begun = True
+                image_bytes += chunk.size
+                if chunk.size and len(image_data) <= MOST_PIECES:
+                    image_data.append((chunk.offset, chunk.size))
+            elif kind in _DECIDES_COLOR and begun:
+                dropped.append(f"{_shown(kind)} is behind the image data, and it is left out")
+            elif kind in _KEPT and kind not in kept:
+                kept[kind] = chunk.data
     if len(kept.get(b"IHDR", b"")) != 13 or not image_data:
         raise InputError("damaged PNG: it has no image data")
     width, height, depth, color_type, deflate, filters, interlace = struct.unpack(
@@ -226,14 +247,36 @@ def read_header(path: str) -> PngHeader:
         raise InputError(f"damaged PNG: it has {width}x{height} pixels")
     if depth not in _DEPTHS.get(color_type, ()) or (deflate, filters) != (0, 0) or interlace > 1:
         raise InputError("damaged PNG: its header describes no kind of PNG that there is")
-    # With several channels it would be more yet.
-    if width * height * depth > _MOST_BITS_OF_A_BYTE * image_bytes:
+    row_bits = width * depth * _CHANNELS[color_type]
+    # A filter is before each row; what that takes in the passes of an interlaced one is not needed.
+    least = height * (1 + -(-row_bits // 8)) if not interlace else height * row_bits // 8
+    if least > _MOST_OF_A_BYTE * image_bytes:
         raise InputError(f"damaged PNG: its image data are too few for {width}x{height} pixels")
-    return PngHeader(width, height, depth, color_type, interlace == 1, tuple(image_data), kept)
+    return PngHeader(
+        width,
+        height,
+        depth,
+        color_type,
+        interlace == 1,
+        tuple(image_data),
+        kept,
+        tuple(dict.fromkeys(dropped)),
+    )
 
 
-def _chunks(file: BinaryIO) -> Iterator[tuple[bytes, bytes, int, int]]:
-    """Kind, data where they are kept, and offset and size of the data."""
+@dataclass(frozen=True)
+class _Chunk:
+    """A chunk: its data where they are kept, their place in the file, whether its CRC is right."""
+
+    kind: bytes
+    data: bytes
+    offset: int
+    size: int
+    sound: bool
+
+
+def _chunks(file: BinaryIO) -> Iterator[_Chunk]:
+    """The chunks from the first to IEND. Errors: `InputError` where the file ends before."""
     kind, at = b"", len(SIGNATURE)
     while kind != b"IEND":
         head = file.read(8)
@@ -251,10 +294,19 @@ def _chunks(file: BinaryIO) -> Iterator[tuple[bytes, bytes, int, int]]:
             left -= len(piece)
             if kind in _KEPT:
                 data += piece
-        if file.read(4) != struct.pack(">I", checksum):
-            raise InputError(f"damaged PNG: the checksum of {_shown(kind)} is wrong")
-        yield kind, data, at + 8, size
+        sound = file.read(4) == struct.pack(">I", checksum)
+        yield _Chunk(kind, data, at + 8, size, sound)
         at += 12 + size
+
+
+def _can_be_dropped(kind: bytes) -> bool:
+    """Whether a damaged chunk of that name is one that nothing of the picture depends on.
+
+    Its name may be what is damaged: one bit more must not make it another.
+    """
+    number = int.from_bytes(kind)
+    bits = [(number ^ int.from_bytes(other)).bit_count() for other in _CRITICAL | _DECIDES_COLOR]
+    return kind.isalpha() and kind.isascii() and kind[:1].islower() and min(bits) > 1
 
 
 def _shown(kind: bytes) -> str:

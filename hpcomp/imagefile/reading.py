@@ -11,6 +11,7 @@ from ..color.samples import Rgba, Samples, Strip, linear_rgba
 from ..errors import MismatchError
 from ..geometry import Window
 from .interpretation import AS_STORED, Interpretation
+from .omissions import omissions
 from .parts import ColorGroup, ImageFile, Part
 from .source import source_of
 
@@ -36,6 +37,7 @@ class LayerReader:
         self.file, self.part, self.group = file, part, group
         self.label = label or file.path
         self.problems = interpretation.problems_of(part, self.label)
+        self.omissions = interpretation.unanswered(omissions(file, part, group))
         self.nonfinite = interpretation.nonfinite
         self.zeroed_pixels = 0
         self.decoding = interpretation.decoding_of(file, part)

@@ -51,6 +51,8 @@ def warn_of_layers(rules: StackRules, readers: Sequence[LayerReader], notices: N
 def warn_of_problems(reader: LayerReader | DeepReader, notices: Notices) -> None:
     for problem in reader.problems:
         notices.warn(f"{reader.label}: {problem}; read as {reader.decoding.encoding}", InputWarning)
+    for omission in reader.omissions:
+        notices.warn(f"{reader.label}: {omission}", InputWarning)
 
 
 def warn_of_zeroed(readers: Sequence[LayerReader], notices: Notices) -> None:

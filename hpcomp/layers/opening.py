@@ -11,14 +11,15 @@ from ..imagefile.interpretation import Interpretation
 from ..imagefile.parts import choose
 from ..imagefile.reading import LayerReader
 from ..imagefile.seekable import seekable
-from .layerspec import LayerSpec
+from .layerspec import LAYER_KEYS, LayerSpec
 
 if TYPE_CHECKING:
     from ..imagefile.deepreading import DeepReader
 
 
 def _interpretation(spec: LayerSpec, nonfinite: str) -> Interpretation:
-    return Interpretation(spec.alpha, spec.colorspace, spec.tint, nonfinite)
+    given = frozenset(key for key in LAYER_KEYS if getattr(spec, key) != getattr(LayerSpec, key))
+    return Interpretation(spec.alpha, spec.colorspace, spec.tint, nonfinite, given)
 
 
 @contextlib.contextmanager

@@ -7,6 +7,7 @@ from typing import Any
 from ..errors import InputError, printable
 from ..geometry import Window
 from ..imagefile.header import METRES_PER_INCH
+from ..imagefile.omissions import omissions
 from ..imagefile.parts import ColorGroup, ImageFile, Part, choose
 
 #: Version of the data that `as_data` gives; it grows when a key changes its meaning or goes.
@@ -17,7 +18,7 @@ def as_data(file: ImageFile) -> dict[str, Any]:
     """One file as dictionaries, lists, strings and numbers.
 
     `read_as` names the part and layer that are read where nothing is chosen, or is null with the
-    reason in `problem`.
+    reason in `problem`. `left_out` says what of the file is then not in the picture.
     """
     data: dict[str, Any] = {"path": file.path, "format": file.format}
     try:
@@ -25,8 +26,9 @@ def as_data(file: ImageFile) -> dict[str, Any]:
         if part.refusal:
             raise InputError(f"{file.path}: {part.refusal}")
         data["read_as"] = {"part": part.index, "layer": group.layer}
+        data["left_out"] = [omission.text for omission in omissions(file, part, group)]
     except InputError as problem:
-        data["read_as"], data["problem"] = None, str(problem)
+        data["read_as"], data["problem"], data["left_out"] = None, str(problem), []
     data["parts"] = [_part_data(file, part) for part in file.parts]
     return data
 
@@ -116,4 +118,5 @@ def as_text(file: ImageFile) -> str:
         rows += [("warning", problem) for problem in part.problems]
         width = max(len(name) for name, _ in rows)
         lines += [f"  {name:<{width}}  {value}" for name, value in rows]
+    lines += [f"  warning: {text}" for text in data["left_out"]]
     return "\n".join(map(printable, lines))

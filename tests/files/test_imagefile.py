@@ -9,6 +9,7 @@ import struct
 import subprocess
 import sys
 import time
+import warnings
 import zlib
 
 import exrfile
@@ -80,10 +81,10 @@ def refused(error, path, *words, **options):
     return message
 
 
-def attempt(path, errors=InputError):
+def attempt(path, errors=InputError, **options):
     """The pixels, or the error that says why there are none."""
     try:
-        return pixels(path)
+        return pixels(path, **options)
     except errors as error:
         return error
 
@@ -392,15 +393,22 @@ def test_every_flipped_bit_of_a_png_is_noticed(tmp_path, interlaced):
     """Every chunk has a CRC, so nothing may go unseen: not in the pixels, not beside them."""
     data = small_png(interlaced).encode()
     path = tmp_path / "damaged.png"
+    sound = pixels(put(path, data))
+    assert sound.shape == (4, 5, 4)
     unseen = []
     for place in range(len(data)):
         for bit in range(8):
-            outcome = attempt(put(path, pngfile.flip_bit(data, place, bit)))
+            put(path, pngfile.flip_bit(data, place, bit))
+            outcome = attempt(path, strict=True)
             if not (isinstance(outcome, InputError) and "damaged.png" in str(outcome)):
                 unseen.append((place, bit))
+            # What is read all the same is the same picture.
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                outcome = attempt(path)
+            if not isinstance(outcome, InputError):
+                assert np.array_equal(outcome, sound), (place, bit)
     assert not unseen
-    put(path, data)
-    assert pixels(path).shape == (4, 5, 4)
 
 
 @pytest.mark.parametrize("interlaced", [False, True])
@@ -410,10 +418,82 @@ def test_every_truncated_png_is_noticed(tmp_path, interlaced):
         refused(InputError, put(tmp_path / "cut.png", data[:length]))
 
 
-@pytest.mark.parametrize("kind", [b"IHDR", b"gAMA", b"PLTE", b"tRNS", b"tEXt", b"IDAT", b"IEND"])
+@pytest.mark.parametrize("kind", [b"IHDR", b"gAMA", b"PLTE", b"tRNS", b"IDAT", b"IEND"])
 def test_the_broken_chunk_is_named(tmp_path, kind):
     path = put(tmp_path / "a.png", pngfile.break_crc(small_png().encode(), kind))
     refused(InputError, path, kind.decode())
+
+
+COLOR_CHUNKS = [
+    pngfile.srgb(),
+    pngfile.gama(50000),
+    pngfile.chrm(pngfile.D65_XY, *pngfile.P3_XY),
+    pngfile.cicp(9, 13),
+    pngfile.iccp(pngfile.icc_profile("p", pngfile.P3_XY)),
+]
+OTHER_CHUNKS = [
+    pngfile.text("Title", "a map"),
+    (b"cLLI", bytes(8)),
+    (b"mDCV", bytes(24)),
+    pngfile.time(),
+    pngfile.phys(3000, 2000),
+    pngfile.bkgd(1, 2, 3),
+    (b"prVt", b"what only its writer knows"),
+]
+
+
+@pytest.mark.parametrize("chunk", COLOR_CHUNKS, ids=lambda chunk: chunk[0].decode())
+def test_a_broken_chunk_that_decides_colour_refuses_the_file(tmp_path, chunk):
+    data = pngfile.random_png(pngfile.RGBA, 8).with_chunks(head=[chunk]).encode()
+    refused(InputError, put(tmp_path / "a.png", pngfile.break_crc(data, chunk[0])), "checksum")
+
+
+@pytest.mark.parametrize("kind", [pngfile.RGBA, pngfile.PALETTE], ids=["fast", "library"])
+@pytest.mark.parametrize("chunk", OTHER_CHUNKS, ids=lambda chunk: chunk[0].decode())
+def test_a_broken_chunk_that_decides_nothing_is_dropped_with_a_word(tmp_path, chunk, kind):
+    png = pngfile.random_png(kind, 8)
+    data = png.with_chunks(body=[chunk]).encode()
+    path = put(tmp_path / "a.png", pngfile.break_crc(data, chunk[0]))
+    words = f"the checksum of its {chunk[0].decode()} chunk is wrong, and it is left out"
+    with pytest.warns(HpcompWarning, match=words):
+        assert_pixels(pixels(path), png.linear())
+    refused(InputError, path, words, strict=True)
+    part = hpcomp.info(path).parts[0]
+    assert [omission.text for omission in part.omissions] == [words]
+    assert part.pixel_aspect == 1
+
+
+@pytest.mark.parametrize("sizes", [(40, 10**9), (0, 10**9), (40, 0, 10**9)])
+@pytest.mark.parametrize("kind", [pngfile.RGBA, pngfile.PALETTE], ids=["fast", "library"])
+def test_image_data_in_pieces_with_something_between(tmp_path, kind, sizes):
+    """PNG third edition, 5.6: IDAT chunks are consecutive; libpng refuses others."""
+    png = pngfile.random_png(kind, 8, interlaced=False)
+    before, data, after = [], b"", []
+    for name, body in png.chunks():
+        if name == b"IDAT":
+            data += body
+        else:
+            (after if data else before).append((name, body))
+    pieces = []
+    for size in sizes:
+        pieces.append((b"IDAT", data[:size]))
+        data = data[size:]
+    whole = put(tmp_path / "a.png", pngfile.join([*before, *pieces, *after]))
+    assert_pixels(pixels(whole), png.linear())
+    for between in (pngfile.text("Title", "a map"), (b"PLTE", bytes(3)), pngfile.gama(50000)):
+        parted = [*before, pieces[0], between, *pieces[1:], *after]
+        refused(InputError, put(whole, pngfile.join(parted)), "its IDAT chunks are not consecutive")
+    broken = pngfile.join([*before, pieces[0], (b"teXt", b"\0"), *pieces[1:], *after])
+    refused(InputError, put(whole, pngfile.break_crc(broken, b"teXt")), "are not consecutive")
+
+
+@pytest.mark.parametrize("chunk", COLOR_CHUNKS, ids=lambda chunk: chunk[0].decode())
+def test_colour_chunks_behind_the_image_data_are_left_out_with_a_word(tmp_path, chunk):
+    """As libpng has it, so that the picture looks as in other programs."""
+    png = pngfile.random_png(pngfile.RGBA, 8)
+    path = put(tmp_path / "a.png", png.with_chunks(tail=[chunk]))
+    with pytest.warns(HpcompWarning, match=f"its {chunk[0].decode()} chunk is behind the image"):
+        assert_pixels(pixels(path), png.linear())
 
 
 def header(width, height, depth=8, colour=pngfile.RGBA, rest=b"\0\0\0"):
@@ -1101,7 +1181,7 @@ def test_info_of_a_deep_exr(tmp_path):
 
 def test_info_of_damaged_files(tmp_path):
     png = small_png().encode()
-    broken = put(tmp_path / "a.png", pngfile.break_crc(png, b"tEXt"))
+    broken = put(tmp_path / "a.png", pngfile.break_crc(png, b"IDAT"))
     for path in (broken, tmp_path / "nowhere.exr", tmp_path, put(tmp_path / "b.png", png[:-5])):
         with pytest.raises(InputError, match=path.name):
             hpcomp.info(path)

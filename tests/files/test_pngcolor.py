@@ -439,3 +439,17 @@ def test_a_stack_of_hdr_ends_with_its_code(desk):
     assert found.code == 3
     assert "layer 0 (a.png): its cICP says HLG" in found.stderr
     assert not (desk / "out.png").exists()
+
+
+def test_a_damaged_chunk_beside_the_colours_is_a_warning_of_every_command(desk):
+    png = pngfile.random_png(pngfile.RGBA, 8).with_chunks(body=[(b"cLLI", bytes(8))]).encode()
+    (desk.folder / "a.png").write_bytes(pngfile.break_crc(png, b"cLLI"))
+    words = "the checksum of its cLLI chunk is wrong, and it is left out"
+    for arguments in (["stack", "a.png", "-o", "out.png"], ["hues", "a.png"]):
+        found = desk.run(*arguments)
+        assert (found.code, found.stderr.count("\n")) == (0, 1)
+        assert words in found.stderr
+        assert desk.run(*arguments, "--strict").code == 3
+    assert f"warning: {words}" in info(desk, "a.png")
+    (file,) = json.loads(info(desk, "a.png", "--json"))["files"]
+    assert file["left_out"] == [words]
