@@ -21,7 +21,7 @@ their depths say which is in front. Samples in one place are added first, all at
 of files and samples has no effect.
 
 IMAGE is a deep EXR file, with scanlines or tiles, in the LAYER syntax of stack; `-` reads stdin. It
-has the channels Z and A, and ZBack if it has volumes. Keys:
+has the channels Z and A, and ZBack if it has volumes; samples without a colour are black. Keys:
 
 \b
   part=NAME        a part of a multi-part EXR, by name or index

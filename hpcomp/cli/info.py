@@ -25,8 +25,8 @@ def command(ctx: click.Context, files: tuple[str, ...], format: str) -> None:
     """Say what image files hold and how they will be read.
 
     info prints parts, channels, windows, depth, alpha, light and primaries, and where each was read
-    from. FILE `-` is stdin. JSON is one document for all files. Files that cannot be read are named
-    on stderr, with exit code 3.
+    from, and warns of what is not in the picture that is read. FILE `-` is stdin. JSON is one
+    document for all files. Files that cannot be read are named on stderr, with exit code 3.
     """
     pipeline, fileinfo = load("hpcomp.pipeline.images"), load("hpcomp.report.fileinfo")
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from ..errors import InputError
 from ..geometry import FARTHEST, Window
 from .deflate import InflateError, inflated
-from .exrscanlines import HEADER_AT, MAGIC, attributes, planes_of
+from .exrscanlines import headers_of, planes_of, window_of
 from .rawfile import RawFile
 
 Counts = NDArray[np.int64]
@@ -25,8 +25,6 @@ Bytes = NDArray[np.uint8]
 
 #: Headers are longer where they hold many attributes; they are read in growing pieces.
 _HEADER_BYTES, _MOST_HEADER_BYTES = 1 << 16, 1 << 26
-#: The flag of a file of several parts.
-_MULTIPART = 0x1000
 #: How deep data may be packed, by number: OpenEXR allows no other, but for zstd.
 COMPRESSIONS = {0: "none", 1: "rle", 2: "zips"}
 _OTHER_COMPRESSIONS = {3: "zip", 4: "piz", 13: "zstd"}
@@ -112,21 +110,11 @@ def layout_of(file: RawFile, part: int, label: str) -> DeepLayout:
 
 
 def _parsed(file: RawFile, head: bytes, part: int, label: str) -> DeepLayout:
-    magic, version = struct.unpack_from("<4sI", head)
-    if magic != MAGIC:
-        raise ValueError("no EXR")
-    several = bool(version & _MULTIPART)
-    headers: list[dict[bytes, bytes]] = []
-    at = HEADER_AT
-    while not headers or (several and head[at]):
-        _, values, at = attributes(head, at)
-        headers.append(values)
-    at += several  # an empty header is behind the last one
+    headers, at, several = headers_of(head)
     values = headers[part]
     for before in headers[:part]:
         at += 8 * struct.unpack("<i", before[b"chunkCount"])[0]
-    left, top, right, bottom = struct.unpack("<4i", values[b"dataWindow"])
-    window = Window(left, top, right - left + 1, bottom - top + 1)
+    window = window_of(values[b"dataWindow"])
     if not (0 < window.width <= FARTHEST and 0 < window.height <= FARTHEST):
         raise ValueError("no pixels")
     number = values[b"compression"][0]

@@ -157,7 +157,10 @@ class DeepReader:
         """Counts (pixels), front and back (n), and colour and alpha (n, channels) as stored."""
         counts, planes = self._chunks.read(begin, end)
         front = planes[self._depth[0]]
-        stored = np.stack([planes[name] for name in self._color], axis=-1)
+        color = [planes[name] for name in self._color]
+        if len(color) == 1:
+            color.insert(0, np.zeros_like(color[0]))  # alpha alone: black
+        stored = np.stack(color, axis=-1)
         return counts.ravel(), front, planes[self._depth[-1]], stored
 
     def _nonfinite_error(self, begin: int) -> MismatchError:

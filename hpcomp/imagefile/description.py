@@ -6,12 +6,9 @@ import os
 from collections.abc import Iterator
 from typing import Any
 
-from ..color.encodings import COLOR_INTEROP_IDS, LINEAR_REC709, ColorEncoding
-from ..color.primaries import primaries_from_xy
-from ..color.transfer import LINEAR
 from ..errors import InputError, why
 from ..geometry import Window
-from . import exrscanlines, pngheader, pngscanlines
+from . import exrheader, exrscanlines, otherformats, pngheader, pngscanlines
 from .exrscanlines import ExrLayout
 from .header import METRES_PER_INCH
 from .omissions import omissions_of_png
@@ -55,8 +52,15 @@ def _png_parts(path: str, label: str) -> Iterator[Part]:
 
 def _exr_parts(path: str, label: str) -> Iterator[Part]:
     layout = exrscanlines.layout_of(path)
-    for number, spec in enumerate(_specs(path, label)):
-        yield _exr_part(spec, number, layout)
+    number = 0
+    try:
+        for number, spec in enumerate(_specs(path, label)):
+            yield _exr_part(spec, number, layout)
+    except InputError:
+        parts = exrheader.subsampled_parts(path)
+        if not parts or number:
+            raise
+        yield from parts
 
 
 def _specs(path: str, label: str) -> Iterator[Any]:
@@ -79,17 +83,18 @@ def _format_of(path: str, label: str) -> str:
         if os.path.isdir(path):
             raise InputError(f"{label} is a directory: name a PNG or EXR file in it")
         with open(path, "rb") as file:
-            head = file.read(8)
+            head = file.read(otherformats.HEAD_BYTES)
     except OSError as reason:
         raise InputError(f"{label}: cannot be read: {why(reason)}") from None
     if not head:
         raise InputError(f"{label} is empty")
     # A damaged signature still shows which format was meant.
-    if head == pngheader.SIGNATURE or head[1:4] == b"PNG" or head[4:] == pngheader.SIGNATURE[4:]:
+    if head[1:4] == b"PNG" or head[4:8] == pngheader.SIGNATURE[4:]:
         return "png"
-    if head[:4] == b"v/1\x01":
+    if head[:4] == exrscanlines.MAGIC:
         return "exr"
-    raise InputError(f"{label} is neither a PNG nor an EXR file: convert it first")
+    what = otherformats.what_it_is(head, path, shown=path in label)
+    raise InputError(f"{label} {what or 'is neither a PNG nor an EXR file: convert it first'}")
 
 
 def _window(spec: Any, full: bool = False) -> Window:
@@ -112,7 +117,7 @@ def _png_part(
     channels: tuple[Channel, ...],
     window: Window,
 ) -> Part:
-    encoding, source, problems = header.color()
+    color = header.color()
     return Part(
         index=0,
         name="",
@@ -127,17 +132,14 @@ def _png_part(
         interlaced=header.interlaced,
         pixel_aspect=header.pixel_aspect,
         pixels_per_metre=header.pixels_per_metre,
-        encoding=encoding,
-        encoding_source=source,
+        color=color,
         icc_profile=header.icc_profile,
-        problems=tuple(f"{problem} is not honoured" for problem in problems),
         omissions=omissions_of_png(header),
         layout=layout,
     )
 
 
 def _exr_part(spec: Any, index: int, layout: ExrLayout | None) -> Part:
-    encoding, source, problems = _exr_encoding(spec)
     density = spec.get_float_attribute("XResolution"), spec.get_float_attribute("YResolution")
     rows = spec.tile_height or spec.get_int_attribute("oiio:RowsPerChunk", 1)
     channels, window = _channels(spec), _window(spec)
@@ -157,31 +159,10 @@ def _exr_part(spec: Any, index: int, layout: ExrLayout | None) -> Part:
         pixels_per_metre=(density[0] / METRES_PER_INCH, density[1] / METRES_PER_INCH)
         if min(density) > 0
         else None,
-        encoding=encoding,
-        encoding_source=source,
+        color=exrheader.color_of(
+            spec.get_string_attribute("colorInteropID"), spec.getattribute("chromaticities")
+        ),
         icc_profile="",
-        problems=tuple(problems),
         omissions=(),
         layout=layout if layout and layout.window == window else None,
     )
-
-
-def _exr_encoding(spec: Any) -> tuple[ColorEncoding, str, list[str]]:
-    """(encoding, what it was read from, what cannot be honoured)."""
-    problems: list[str] = []
-    interop_id = spec.get_string_attribute("colorInteropID")
-    if interop_id in COLOR_INTEROP_IDS:
-        return COLOR_INTEROP_IDS[interop_id], "colorInteropID", problems
-    if interop_id and interop_id not in ("data", "unknown"):
-        problems.append(f"colorInteropID '{interop_id}' is not honoured")
-    chromaticities = spec.getattribute("chromaticities")
-    if chromaticities is not None:
-        try:
-            return (
-                ColorEncoding(LINEAR, primaries_from_xy(chromaticities)),
-                "chromaticities",
-                problems,
-            )
-        except ValueError:
-            problems.append("chromaticities that span no gamut are not honoured")
-    return LINEAR_REC709, "default", problems

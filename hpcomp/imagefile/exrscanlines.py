@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import struct
 from array import array
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, BinaryIO
 
@@ -33,6 +33,8 @@ VERSION = 2
 HEADER_AT = 8
 #: The only flag beside the version that a plain file may have: names of up to 255 characters.
 LONG_NAMES = 0x400
+#: The flag of a file of several parts.
+MULTIPART = 0x1000
 #: No header of a plain file is longer.
 _HEADER_BYTES = 1 << 16
 #: The attributes that every header must have, and their types.
@@ -52,7 +54,7 @@ _BLOCK_HEAD_BYTES = 8
 #: Of those compressions that are read here: their number in the header, and rows of a block.
 COMPRESSIONS = {"none": (0, 1), "zips": (2, 1), "zip": (3, 16)}
 #: Numbers of the sample types, and their bytes.
-_TYPES = {"uint": (0, 4), "half": (1, 2), "float": (2, 4)}
+TYPES = {"uint": (0, 4), "half": (1, 2), "float": (2, 4)}
 #: Those that can be read here.
 _DTYPES: dict[str, type[np.floating[Any]]] = {"half": np.float16, "float": np.float32}
 
@@ -101,8 +103,7 @@ def _parsed(file: BinaryIO) -> ExrLayout:
         or not _ATTRIBUTES.items() <= types.items()
     ):
         raise ValueError("not one part of rows")
-    left, top, right, bottom = struct.unpack("<4i", values[b"dataWindow"])
-    window = Window(left, top, right - left + 1, bottom - top + 1)
+    window = window_of(values[b"dataWindow"])
     if window.width < 1 or window.height < 1:
         raise ValueError("no pixels")
     (compression,) = values[b"compression"]
@@ -134,6 +135,40 @@ def attributes(head: bytes, at: int) -> tuple[dict[bytes, bytes], dict[bytes, by
     return types, values, at + 1
 
 
+def headers_of(head: bytes) -> tuple[list[dict[bytes, bytes]], int, bool]:
+    """The attributes of every part of an EXR that begins like this, and where its tables begin.
+
+    The last says whether it is a file of several parts, which may be one. Errors: `ValueError`, and
+    what a damaged header leads to.
+    """
+    magic, version = struct.unpack_from("<4sI", head)
+    if magic != MAGIC:
+        raise ValueError("no EXR")
+    several = bool(version & MULTIPART)
+    headers: list[dict[bytes, bytes]] = []
+    at = HEADER_AT
+    while not headers or (several and head[at]):
+        _, values, at = attributes(head, at)
+        headers.append(values)
+    return headers, at + several, several  # an empty header is behind the last of several
+
+
+def window_of(box: bytes) -> Window:
+    """A window from a box2i."""
+    left, top, right, bottom = struct.unpack("<4i", box)
+    return Window(left, top, right - left + 1, bottom - top + 1)
+
+
+def channels_of(channels: bytes) -> Iterator[tuple[bytes, int, tuple[int, int]]]:
+    """Name, number of the type, and sampling across and down, of the channels of a header."""
+    at = 0
+    while channels[at]:
+        end = channels.index(0, at)
+        number, _, x_sampling, y_sampling = struct.unpack_from("<iIii", channels, end + 1)
+        yield channels[at:end], number, (x_sampling, y_sampling)
+        at = end + 17
+
+
 def _offsets(file: BinaryIO, at: int, blocks: int) -> Sequence[int]:
     """The table of so many blocks; `ValueError` where it cannot be right.
 
@@ -154,19 +189,16 @@ def planes_of(channels: bytes, width: int) -> tuple[dict[str, tuple[str, int]], 
 
     `ValueError` where channels are subsampled, or not sorted: OpenEXR sorts them, and their planes.
     """
-    types = {number: (name, size) for name, (number, size) in _TYPES.items()}
+    types = {number: (name, size) for name, (number, size) in TYPES.items()}
     planes: dict[str, tuple[str, int]] = {}
-    row_bytes, at, last = 0, 0, b""
-    while channels[at]:
-        end = channels.index(0, at)
-        name = channels[at:end]
-        number, _, x_sampling, y_sampling = struct.unpack_from("<iIii", channels, end + 1)
-        if (x_sampling, y_sampling) != (1, 1) or name <= last:
+    row_bytes, last = 0, b""
+    for name, number, sampling in channels_of(channels):
+        if sampling != (1, 1) or name <= last:
             raise ValueError("not planes of whole rows, sorted by name")
         kind, size = types[number]
         planes[name.decode()] = kind, row_bytes
         row_bytes += size * width
-        at, last = end + 17, name
+        last = name
     return planes, row_bytes
 
 
@@ -293,7 +325,7 @@ def _header(form: ExrForm, compression: int) -> bytes:
     """The attributes that the format asks for, and those that say what the colours mean."""
     picture = form.header
     channels = b"".join(
-        name.encode() + b"\0" + struct.pack("<iIii", _TYPES[kind][0], 0, 1, 1)
+        name.encode() + b"\0" + struct.pack("<iIii", TYPES[kind][0], 0, 1, 1)
         for name, kind in form.planes or [(name, form.depth) for name in "ABGR"]
     )
     attributes = [

@@ -17,4 +17,13 @@ def omissions_of_png(header: PngHeader) -> tuple[Omission, ...]:
 
 def omissions(file: ImageFile, part: Part, group: ColorGroup) -> tuple[Omission, ...]:
     """What of the file is not in the picture where this colour of this part is read."""
-    return part.omissions
+    found = list(part.omissions)
+    if part.deep and not group.color and group.alpha is not None:
+        found.append(
+            Omission(
+                f"it has no colour, only the alpha {group.alpha.name}: its samples are black, and "
+                "hide what is behind them",
+                ("part", "layer"),
+            )
+        )
+    return tuple(found)

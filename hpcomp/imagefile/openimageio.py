@@ -16,7 +16,6 @@ from ..color.samples import Samples
 from ..errors import InputError, OutputError
 from ..system.signals import held
 from ..system.sourcedate import EXR_DATE, source_date
-from . import exrheader
 from .exrscanlines import ExrForm
 from .parts import Channel, Part
 
@@ -57,14 +56,13 @@ def error_text(source: Any, otherwise: str = "the file is damaged") -> str:
 
 
 def open_input(path: str, label: str) -> Any:
-    """OpenImageIO's reader of the file; `InputError` that explains where there is none."""
+    """OpenImageIO's reader of the file; `InputError` where there is none."""
     config = oiio.ImageSpec()
     # Without this OpenImageIO premultiplies PNG in encoded 8-bit values.
     config.attribute("oiio:UnassociatedAlpha", 1)
     reader = oiio.ImageInput.open(path, config)
     if reader is None:
-        reason = error_text(oiio)
-        raise InputError(f"{label}: cannot be read: {exrheader.explain(path) or reason}")
+        raise InputError(f"{label}: cannot be read: {error_text(oiio)}")
     # Headers with an attribute that cannot be parsed open all the same, and leave an error behind.
     error_text(reader)
     return reader

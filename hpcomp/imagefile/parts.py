@@ -10,24 +10,30 @@ from ..color.transfer import HDR_TRANSFERS
 from ..errors import InputError, nearest
 from ..geometry import Window
 from .exrscanlines import ExrLayout
+from .filecolor import FileColor
 from .pngscanlines import PngLayout
 from .rawfile import Identity
 
 
 @dataclass(frozen=True)
 class Channel:
-    """One channel of a part: its full name, its stored type, its index."""
+    """One channel of a part: its full name, its stored type, its index.
+
+    `sampling`: it has a value for every pixel of so many, across and down.
+    """
 
     name: str
     type: str
     index: int
+    sampling: tuple[int, int] = (1, 1)
 
 
 @dataclass(frozen=True)
 class ColorGroup:
     """The channels of one layer name (empty for the default layer) that make up a colour.
 
-    `color` is R, G, B or a single Y; `alpha` is None where the group has none.
+    `color` is R, G, B or a single Y, and empty where only an alpha is deep; `alpha` is None where
+    the group has none.
     """
 
     layer: str
@@ -50,8 +56,7 @@ class Omission:
 class Part:
     """One picture of a file, and how it will be read; with a `layout`, without OpenImageIO.
 
-    `encoding_source`: what said so. `icc_profile`: its name, honoured or not, or empty. `problems`:
-    what is not honoured. `omissions`: what of it is not read.
+    `icc_profile`: its name, honoured or not, or empty. `omissions`: what of it is not read.
     """
 
     index: int
@@ -67,12 +72,20 @@ class Part:
     interlaced: bool
     pixel_aspect: float
     pixels_per_metre: tuple[float, float] | None
-    encoding: ColorEncoding
-    encoding_source: str
+    color: FileColor
     icc_profile: str
-    problems: tuple[str, ...]
     omissions: tuple[Omission, ...]
     layout: ExrLayout | PngLayout | None = field(repr=False)
+
+    @property
+    def encoding(self) -> ColorEncoding:
+        """How its stored RGB means light."""
+        return self.color.encoding
+
+    @property
+    def problems(self) -> tuple[str, ...]:
+        """What it says of its colours and is not honoured."""
+        return tuple(f"{problem} is not honoured" for problem in self.color.problems)
 
     @property
     def refusal(self) -> str:
@@ -81,8 +94,8 @@ class Part:
         if transfer not in HDR_TRANSFERS.values():
             return ""
         return (
-            f"its {self.encoding_source} says {transfer.name}, an HDR curve (Rec. ITU-R BT.2100), "
-            "which is not read: convert it to SDR, or to linear EXR, or overrule it with "
+            f"its {self.color.transfer_from} says {transfer.name}, an HDR curve (Rec. ITU-R "
+            "BT.2100), which is not read: convert it to SDR, or to linear EXR, or overrule it with "
             "colorspace="
         )
 
@@ -129,6 +142,12 @@ def color_groups(channels: Sequence[Channel]) -> tuple[ColorGroup, ...]:
     return tuple(groups)
 
 
+def _alphas(part: Part) -> list[tuple[str, Channel]]:
+    """The alphas of a part, each with the name of its layer."""
+    named = ((c.name.rpartition("."), c) for c in part.channels)
+    return [(name[0], c) for name, c in named if _COMPONENTS.get(name[2].lower()) == "A"]
+
+
 def _masks(part: Part, layer: str | None) -> list[ColorGroup]:
     """Channels that make no colour, but may be a mask: the one named, an alpha, or the only one."""
     if layer is not None:
@@ -158,8 +177,9 @@ def choose(
     Of flat parts, or of `deep` ones, where its alpha may be that of an enclosing layer.
 
     Without `layer` the default RGBA goes before named layers. Where a `mask` is wanted and there is
-    no such colour, an alpha or a single channel will do; `layer` may be its name. Errors:
-    `InputError` that lists what there is, for an unknown part or layer, for none, and for several.
+    no such colour, an alpha or a single channel will do; `layer` may be its name. Of `deep` parts
+    without a colour an alpha will do: its samples are black. Errors: `InputError` that lists what
+    there is, for an unknown part or layer, for none, and for several.
     """
     label = label or file.path
     parts = list(file.parts)
@@ -176,7 +196,15 @@ def choose(
         raise InputError(
             f"{label} is a deep EXR, with many samples a pixel: flatten it with hpcomp flatten"
         )
+    subsampled = [c.name for p in flat for c in p.channels if c.sampling != (1, 1)]
+    if subsampled:
+        raise InputError(
+            f"{label}: its channels {', '.join(subsampled)} are subsampled (luminance/chroma), "
+            "which is not read: store it as RGB, such as with ImageMagick: magick IN.exr OUT.exr"
+        )
     colors = [(p, group) for p in flat for group in p.groups]
+    if deep and not colors:
+        colors = [(p, ColorGroup(name, (), c)) for p in flat for name, c in _alphas(p)]
     channels = ", ".join(c.name for p in flat for c in p.channels)
     if layer is not None:
         named = [(p, g) for p, g in colors if g.layer == layer]
@@ -196,7 +224,7 @@ def choose(
     if not named:
         what_next = (
             "choose the mask with layer=" if mask
-            else "R, G and B or Y are needed" if deep
+            else "R, G and B or Y, or A, are needed" if deep
             else "R, G, B or Y is needed, or tint= to colour a mask"
         )  # fmt: skip
         raise InputError(f"{label} has no colour, only {channels}: {what_next}")

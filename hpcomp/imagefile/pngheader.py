@@ -27,6 +27,7 @@ from ..color.transfer import (
 )
 from ..errors import InputError
 from . import iccprofile
+from .filecolor import DEFAULT, FileColor
 
 SIGNATURE = b"\x89PNG\r\n\x1a\n"
 
@@ -115,20 +116,33 @@ class PngHeader:
         except ValueError:
             return name
 
-    def color(self) -> tuple[ColorEncoding, str, list[str]]:
-        """(encoding, what it was read from, what cannot be honoured).
+    def color(self) -> FileColor:
+        """What the chunks say of its colours.
 
         Precedence: cICP, iCCP, sRGB, gAMA and cHRM, else sRGB. What is not honoured falls through
         to the next. PNG specification, third edition, 4.3.
         """
         problems: list[str] = []
-        for chunk, reader in _COLOR_CHUNKS:
+        for chunk, reader, source in _COLOR_CHUNKS:
             if chunk in self.chunks:
                 try:
-                    return reader(self), _SOURCES[chunk], problems
+                    return FileColor(reader(self), source, source, tuple(problems))
                 except ValueError as reason:
                     problems.append(str(reason))
-        return SRGB_ENCODING, "default", problems
+        transfer, primaries = SRGB, SRGB_ENCODING.primaries
+        transfer_from = primaries_from = DEFAULT
+        if b"cHRM" in self.chunks:
+            try:
+                primaries, primaries_from = _primaries_of(self.chunks[b"cHRM"]), "cHRM"
+            except ValueError as reason:
+                problems.append(str(reason))
+        if b"gAMA" in self.chunks:
+            try:
+                transfer, transfer_from = _transfer_of(self.chunks[b"gAMA"]), "gAMA"
+            except ValueError as reason:
+                problems.append(str(reason))
+        encoding = ColorEncoding(transfer, primaries)
+        return FileColor(encoding, transfer_from, primaries_from, tuple(problems))
 
 
 def _from_cicp(header: PngHeader) -> ColorEncoding:
@@ -166,38 +180,29 @@ def _from_srgb(header: PngHeader) -> ColorEncoding:
     return SRGB_ENCODING
 
 
-def _from_gama_chrm(header: PngHeader) -> ColorEncoding:
-    chunks = header.chunks
-    transfer, primaries = SRGB, SRGB_ENCODING.primaries
-    if b"gAMA" in chunks:
-        data = chunks[b"gAMA"]
-        exponent = struct.unpack(">I", data)[0] if len(data) == 4 else 0
-        if not exponent:
-            raise ValueError("a gAMA chunk that is zero or not 4 bytes long")
-        transfer = gamma(100000 / exponent)
-    if b"cHRM" in chunks:
-        data = chunks[b"cHRM"]
-        if len(data) != 32:
-            raise ValueError("a cHRM chunk that is not 32 bytes long")
-        white, *rgb = np.array(struct.unpack(">8i", data)).reshape(4, 2) / 100000
-        primaries = primaries_from_xy([*rgb, white])
-    return ColorEncoding(transfer, primaries)
+def _transfer_of(gama: bytes) -> Transfer:
+    """The curve that gAMA names; `ValueError` where it names none."""
+    exponent = struct.unpack(">I", gama)[0] if len(gama) == 4 else 0
+    if not exponent:
+        raise ValueError("a gAMA chunk that is zero or not 4 bytes long")
+    return gamma(100000 / exponent)
 
 
+def _primaries_of(chrm: bytes) -> Primaries:
+    """The primaries that cHRM names; `ValueError` where it names none."""
+    if len(chrm) != 32:
+        raise ValueError("a cHRM chunk that is not 32 bytes long")
+    white, *rgb = np.array(struct.unpack(">8i", chrm)).reshape(4, 2) / 100000
+    return primaries_from_xy([*rgb, white])
+
+
+#: The chunks that say curve and primaries at once, the first that is honoured first: what reads
+#: them, and what they are called.
 _COLOR_CHUNKS = (
-    (b"cICP", _from_cicp),
-    (b"iCCP", _from_iccp),
-    (b"sRGB", _from_srgb),
-    (b"gAMA", _from_gama_chrm),
-    (b"cHRM", _from_gama_chrm),
+    (b"cICP", _from_cicp, "cICP"),
+    (b"iCCP", _from_iccp, "iCCP"),
+    (b"sRGB", _from_srgb, "sRGB chunk"),
 )
-_SOURCES = {
-    b"cICP": "cICP",
-    b"iCCP": "iCCP",
-    b"sRGB": "sRGB chunk",
-    b"gAMA": "gAMA and cHRM",
-    b"cHRM": "gAMA and cHRM",
-}
 
 
 def read_header(path: str) -> PngHeader:

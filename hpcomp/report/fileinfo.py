@@ -8,10 +8,10 @@ from ..errors import InputError, printable
 from ..geometry import Window
 from ..imagefile.header import METRES_PER_INCH
 from ..imagefile.omissions import omissions
-from ..imagefile.parts import ColorGroup, ImageFile, Part, choose
+from ..imagefile.parts import Channel, ColorGroup, ImageFile, Part, choose
 
 #: Version of the data that `as_data` gives; it grows when a key changes its meaning or goes.
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 
 
 def as_data(file: ImageFile) -> dict[str, Any]:
@@ -43,7 +43,9 @@ def _part_data(file: ImageFile, part: Part) -> dict[str, Any]:
         "display_window": _window_data(part.display_window),
         "pixel_aspect": part.pixel_aspect,
         "pixels_per_metre": part.pixels_per_metre,
-        "channels": [{"name": c.name, "type": c.type} for c in part.channels],
+        "channels": [
+            {"name": c.name, "type": c.type, "sampling": list(c.sampling)} for c in part.channels
+        ],
         "layers": [
             {
                 "name": group.layer,
@@ -56,7 +58,8 @@ def _part_data(file: ImageFile, part: Part) -> dict[str, Any]:
         "transfer": part.encoding.transfer.name,
         "primaries": part.encoding.primaries.name,
         "chromaticities": part.encoding.primaries.xy.tolist(),
-        "color_from": part.encoding_source,
+        "transfer_from": part.color.transfer_from,
+        "primaries_from": part.color.primaries_from,
         "icc_profile": part.icc_profile or None,
         "problems": list(part.problems),
     }
@@ -83,6 +86,12 @@ def _primaries(part: Part) -> str:
     return "custom: " + ", ".join(f"{name} {x:.4f} {y:.4f}" for name, (x, y) in corners)
 
 
+def _channel(channel: Channel) -> str:
+    x, y = channel.sampling
+    shared = "" if (x, y) == (1, 1) else f" for every {x}x{y} pixels"
+    return f"{channel.name} {channel.type}{shared}"
+
+
 def _alpha(file: ImageFile, group: ColorGroup) -> str:
     return "opaque" if group.alpha is None else file.alpha_mode
 
@@ -99,9 +108,9 @@ def as_text(file: ImageFile) -> str:
             ("part", f"{part.index} {part.name}".rstrip() + (" (read)" if chosen else "")),
             ("windows", f"data {part.data_window}, display {part.display_window}"),
             ("storage", ", ".join(filter(None, [_storage(part), part.compression]))),
-            ("channels", ", ".join(f"{c.name} {c.type}" for c in part.channels)),
-            ("light", f"{part.encoding.transfer.name}, from {part.encoding_source}"),
-            ("primaries", _primaries(part)),
+            ("channels", ", ".join(map(_channel, part.channels))),
+            ("light", f"{part.encoding.transfer.name}, from {part.color.transfer_from}"),
+            ("primaries", f"{_primaries(part)}, from {part.color.primaries_from}"),
         ]
         if part.icc_profile:
             rows.append(("ICC profile", part.icc_profile))

@@ -365,6 +365,47 @@ def test_a_layer_of_a_part(desk):
     )
 
 
+ALPHA_ALONE = "it has no colour, only the alpha A: its samples are black"
+
+
+def without_color(deep, prefix=""):
+    """The same samples with their alphas and depths alone, and these as black ones."""
+    names = {n: p for n, p in deep.planes.items() if n in ("A", "Z", "ZBack")}
+    black = {n: np.zeros_like(p) if n in "RGB" else p for n, p in deep.planes.items()}
+    alone = {f"{prefix}{n}" if n == "A" else n: p for n, p in names.items()}
+    return dataclasses.replace(deep, planes=alone), dataclasses.replace(deep, planes=black)
+
+
+@pytest.mark.parametrize("tile", [None, (8, 5)])
+def test_samples_with_alpha_alone_are_black(desk, tile):
+    alone, black = without_color(noise(31, 23, 6, tidy=False, tile=tile))
+    deepfile.write(desk / "alone.exr", alone)
+    deepfile.write(desk / "black.exr", black)
+    for images in (["{}.exr"], ["{}.exr", "tidy.exr"]):
+        run = desk.run("flatten", *(i.format("alone") for i in images), "-o", "a.exr")
+        assert (run.code, run.stderr.count("\n")) == (0, 1)
+        assert f"alone.exr: {ALPHA_ALONE}" in run.stderr
+        desk.makes("flatten", *(i.format("black") for i in images), "-o", "b.exr")
+        assert (desk / "a.exr").read_bytes() == (desk / "b.exr").read_bytes()
+    desk.refuses(3, "flatten", "alone.exr", "--strict", "-o", "x.exr", says=[ALPHA_ALONE])
+    # Who names the part has seen what is in it.
+    desk.makes("flatten", "alone.exr::part=0", "--strict", "-o", "x.exr")
+
+
+def test_samples_with_alpha_alone_are_repacked_and_chosen_by_layer_like_others(desk):
+    alone, black = without_color(noise(31, 23, 6), "fog.")
+    deepfile.write(desk / "fog.exr", alone)
+    deepfile.write(desk / "black.exr", black)
+    deepfile.repacked(desk / "fog.exr", desk / "z.exr", OpenEXR.ZSTD_COMPRESSION)
+    desk.makes("flatten", "black.exr", "-o", "b.exr")
+    for image in ("fog.exr::layer=fog", "z.exr::layer=fog"):
+        desk.makes("flatten", image, "-o", "a.exr")
+        assert (desk / "a.exr").read_bytes() == (desk / "b.exr").read_bytes()
+    run = desk.run("flatten", "z.exr", "-o", "a.exr")
+    assert (run.code, run.stderr.count("only the alpha fog.A")) == (0, 1)
+    desk.refuses(3, "flatten", "fog.exr::layer=smoke", "-o", "x.exr", says=["there is fog"])
+
+
 @pytest.mark.parametrize("tile", [None, (8, 5)])
 def test_zstd_is_repacked_first(desk, tile):
     p3 = struct.pack("<8f", *exrfile.PRIMARIES["p3d65"])

@@ -37,7 +37,6 @@ FLOOR_OF = {name: number for number, names in enumerate(FLOORS) for name in name
 
 #: The only folders or modules that import an outside library; numpy is everywhere.
 IMPORTERS = {
-    "OpenEXR": {"imagefile.exrheader"},
     "OpenImageIO": {"imagefile.openimageio"},
     "click": {"cli"},
     "colour": {"color.primaries"},

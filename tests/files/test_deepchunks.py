@@ -195,7 +195,8 @@ def of_names(*names):
 def test_channels_that_must_be_there(tmp_path):
     refused(of_names("R", "G", "B", "Z"), tmp_path, "no alpha A", "only R, G, B, Z")
     refused(of_names("R", "G", "B", "A"), tmp_path, "no depth Z")
-    refused(of_names("A", "Z"), tmp_path, "no colour", "R, G and B or Y are needed")
+    refused(of_names("A", "ZBack"), tmp_path, "no depth Z")
+    refused(of_names("id", "Z"), tmp_path, "no colour", "R, G and B or Y, or A, are needed")
     refused(of_names("R", "G", "B", "A", "AR", "Z"), tmp_path, "alpha for each colour", "AR")
     refused(of_names("R", "G", "B", "RA", "GA", "BA", "Z"), tmp_path, "BA", "one A first")
 

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 import os
+import pathlib
 import re
+import shlex
 import struct
 import subprocess
 import sys
+import sysconfig
 import time
 import warnings
 import zlib
@@ -1034,8 +1037,20 @@ def test_exr_with_subsampled_chroma(tmp_path):
         "BY": exrfile.planes(["BY"], 4, 3)["BY"],
     }
     steps = {"RY": (2, 2), "BY": (2, 2)}
-    path = put(tmp_path / "a.exr", exrfile.raw_bytes(channels, (8, 6), sampling=steps))
-    refused(InputError, path, "subsampled")
+    content = exrfile.raw_bytes(channels, (8, 6), sampling=steps, origin=(2, 4))
+    path = put(tmp_path / "a.exr", content)
+    refused(InputError, path, "its channels BY, RY are subsampled", "store it as RGB")
+    refused(InputError, path, "subsampled", part="0", layer="")
+    (part,) = hpcomp.info(path).parts
+    assert [(c.name, c.type, c.sampling) for c in part.channels] == [
+        ("BY", "half", (2, 2)), ("RY", "half", (2, 2)), ("Y", "half", (1, 1))
+    ]  # fmt: skip
+    assert part.data_window == part.display_window == Window(2, 4, 8, 6)
+    assert (part.compression, part.tile, part.deep, part.groups) == ("none", None, False, ())
+    # What is damaged besides is an error as before.
+    put(path, content[:200])
+    with pytest.raises(InputError):
+        hpcomp.info(path)
 
 
 def test_exr_of_full_size_chroma_is_not_taken_for_grey(exr):
@@ -1130,7 +1145,7 @@ def test_info_of_a_png(tmp_path):
     assert part.pixel_aspect == pytest.approx(2 / 3)
     assert part.encoding.primaries.name == "rec709"
     assert part.encoding.transfer.decode(np.float64(0.5)) == 0.25
-    assert "gAMA" in part.encoding_source
+    assert (part.color.transfer_from, part.color.primaries_from) == ("gAMA", "default")
 
 
 def test_info_of_an_exr(tmp_path):
@@ -1165,7 +1180,8 @@ def test_info_of_an_exr(tmp_path):
     assert beauty.pixel_aspect == 2.0
     assert beauty.pixels_per_metre == pytest.approx((72 / 0.0254, 2 * 72 / 0.0254))
     assert beauty.encoding.primaries.name == "acescg"
-    assert beauty.encoding_source == "chromaticities"
+    color = beauty.color
+    assert (color.transfer_from, color.primaries_from) == ("default", "chromaticities")
     assert depth.encoding.primaries.name == "rec709"
 
 
@@ -1203,12 +1219,78 @@ def other_images(folder):
             yield ending, file.read()
 
 
+KINDS = {
+    "jpg": "a JPEG file", "tif": "a TIFF file", "bmp": "a BMP file",
+    "hdr": "a Radiance HDR file", "dpx": "a DPX file", "tga": "neither a PNG nor an EXR file",
+}  # fmt: skip
+
+
 @pytest.mark.parametrize("ending", [".png", ".exr"])
 def test_other_formats_are_refused_whatever_their_name(tmp_path, ending):
     for kind, content in other_images(tmp_path):
         assert len(content) > 20
-        refused(InputError, put(tmp_path / f"{kind}{ending}", content))
-        refused(InputError, put(tmp_path / f"picture.{kind}", content))
+        words = f"is {KINDS[kind]}: convert it"
+        refused(InputError, put(tmp_path / f"{kind}{ending}", content), words)
+        refused(InputError, put(tmp_path / f"picture.{kind}", content), words)
+
+
+@pytest.mark.parametrize("name", ["{0}.{0}", "it's a {0}.png", "-{0}.exr", "{0}"])
+def test_the_command_that_converts_does(tmp_path, monkeypatch, name):
+    """As typed, whatever the file is called; no file is replaced by its own conversion."""
+    monkeypatch.chdir(tmp_path)
+    scripts = sysconfig.get_path("scripts")
+    monkeypatch.setenv("PATH", os.pathsep.join([scripts, os.environ["PATH"]]))
+    for kind, content in other_images(tmp_path):
+        path = put(pathlib.Path(name.format(kind)), content)
+        with pytest.raises(InputError) as caught:
+            hpcomp.info(path)
+        _, with_it, line = str(caught.value).partition("such as with: ")
+        if not with_it:
+            assert kind == "tga"
+            continue
+        subprocess.run(line, shell=True, check=True, timeout=60)
+        assert path.read_bytes() == content
+        converted = pathlib.Path(shlex.split(line)[-1])
+        assert hpcomp.info(converted).parts[0].data_window == Window(0, 0, 4, 3)
+        assert converted.suffix == {"hdr": ".exr"}.get(kind, ".png")
+        converted.unlink()
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (b"RIFF\x24\0\0\0WEBPVP8 ", "is a WebP file: convert it, such as with: oiiotool "),
+        (b"GIF89a\x10\0\x10\0", "is a GIF file: convert it, such as with: oiiotool "),
+        (b"%PDF-1.7\n", "is a PDF file: convert it, such as with: pdftocairo "),
+        (b"<svg xmlns='http://www.w3.org/2000/svg'/>", "is an SVG file: convert it"),
+        (b"\xef\xbb\xbf<?xml version='1.0'?>\n<!-- a --><svg/>", "is an SVG file: convert it"),
+        (b"<!DOCTYPE html>\n<html><h1>404</h1></html>", "is a web page: look into it"),
+        (b"\0\0\0\x1cftypavif\0\0", "is an AVIF file"),
+        (b"\0\0\0\x18ftypheic\0\0", "is a HEIF file"),
+        (b"\0\0\0\x0cJXL \r\n\x87\n", "is a JPEG XL file"),
+        (b"\0\0\0\x0cjP  \r\n\x87\n", "is a JPEG 2000 file"),
+        (b"8BPS\0\1", "is a Photoshop file"),
+        (b"version https://git-lfs.github.com/spec/v1\n", "is a Git LFS pointer: git lfs pull"),
+        (b"<xml>no picture</xml>", "is neither a PNG nor an EXR file"),
+    ],
+    ids=lambda value: value.split(b"\n")[0].decode("latin-1") if isinstance(value, bytes) else "",
+)
+def test_what_is_no_layer_is_called_what_it_is(tmp_path, content, words):
+    refused(InputError, put(tmp_path / "a.png", content), words)
+
+
+def test_png_and_exr_are_told_by_their_content_and_not_by_their_name(tmp_path):
+    """By those that are read here, and by those that OpenImageIO reads."""
+    for colour in (pngfile.RGBA, pngfile.PALETTE):
+        png = pngfile.random_png(colour, 8)
+        path = put(tmp_path / "a.exr", png)
+        assert_pixels(pixels(path), png.linear())
+        assert hpcomp.info(path).format == "png"
+    channels = exrfile.rgba(8, 6)
+    for compression in ("zip", "piz"):
+        path = exrfile.write(tmp_path / "b.exr", channels, compression=compression)
+        assert_pixels(pixels(path.rename(tmp_path / "b.png")), exrfile.layer(channels))
+        assert hpcomp.info(tmp_path / "b.png").format == "exr"
 
 
 @pytest.mark.parametrize("name", ["a.png", "a.exr", "a.txt", "a"])

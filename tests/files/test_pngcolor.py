@@ -88,13 +88,43 @@ def test_the_highest_chunk_that_is_there_is_believed(tmp_path, n):
             chunks = [chunk for name in order for chunk in SAYING[name][0]]
             path, png = written(tmp_path, *chunks, *HDR_METADATA)
             assert_read(path, meant(png, curve, primaries))
-            assert hpcomp.info(path).parts[0].encoding_source == there[0]
+            color = hpcomp.info(path).parts[0].color
+            sources = there[0].split(" and ")
+            assert [color.transfer_from, color.primaries_from] == [sources[0], sources[-1]]
 
 
 def test_metadata_of_hdr_alone_change_nothing(tmp_path):
     path, png = written(tmp_path, *HDR_METADATA)
     assert_read(path, png.linear(), FLOAT32)
-    assert hpcomp.info(path).parts[0].encoding_source == "default"
+    color = hpcomp.info(path).parts[0].color
+    assert (color.transfer_from, color.primaries_from) == ("default", "default")
+
+
+@pytest.mark.parametrize(
+    ("chunks", "transfer_from", "primaries_from"),
+    [
+        ([pngfile.gama(40000)], "gAMA", "default"),
+        ([pngfile.chrm(pngfile.D65_XY, *pngfile.ADOBE_XY)], "default", "cHRM"),
+        ([pngfile.gama(0), pngfile.chrm(pngfile.D65_XY, *pngfile.ADOBE_XY)], "default", "cHRM"),
+        ([pngfile.gama(40000), (b"cHRM", bytes(31))], "gAMA", "default"),
+    ],
+    ids=["gAMA", "cHRM", "cHRM and a gAMA of 0", "gAMA and a cut cHRM"],
+)
+def test_curve_and_primaries_are_taken_from_a_chunk_each(
+    tmp_path, chunks, transfer_from, primaries_from
+):
+    """PNG third edition, 4.3; and what one of them cannot say changes nothing for the other."""
+    path, png = written(tmp_path, *chunks)
+    part = hpcomp.info(path).parts[0]
+    assert (part.color.transfer_from, part.color.primaries_from) == (transfer_from, primaries_from)
+    curve = pngfile.power(2.5) if transfer_from == "gAMA" else pngfile.srgb_to_linear
+    primaries = pngfile.ADOBE_XY if primaries_from == "cHRM" else pngfile.SRGB_XY
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        error = np.abs(hpcomp.read_layer(path).pixels - meant(png, curve, primaries)).max()
+    assert error <= STORED
+    one_is_damaged = len(chunks) == 2
+    assert len(part.problems) == one_is_damaged
 
 
 @pytest.mark.parametrize(
@@ -412,7 +442,17 @@ def test_info_says_where_colour_comes_from(desk):
     (part,) = json.loads(info(desk, path.name, "--json"))["files"][0]["parts"]
     assert part["icc_profile"] == "Display P3 by test"
     assert (part["transfer"], part["primaries"]) == ("sRGB", "display-p3")
-    assert (part["color_from"], part["problems"]) == ("iCCP", [])
+    assert (part["transfer_from"], part["primaries_from"]) == ("iCCP", "iCCP")
+    assert part["problems"] == []
+
+
+def test_info_says_where_each_of_light_and_primaries_comes_from(desk):
+    path, _ = written(desk.folder, pngfile.chrm(pngfile.D65_XY, *pngfile.ADOBE_XY))
+    text = info(desk, path.name)
+    assert re.search("light +sRGB, from default", text), text
+    assert re.search("primaries +adobe-rgb, from cHRM", text), text
+    (part,) = json.loads(info(desk, path.name, "--json"))["files"][0]["parts"]
+    assert (part["transfer_from"], part["primaries_from"]) == ("default", "cHRM")
 
 
 def test_info_of_custom_primaries_has_their_numbers(desk):

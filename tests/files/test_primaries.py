@@ -505,7 +505,7 @@ def test_a_wide_png_says_so_in_every_way_there_is(tmp_path, mixed, name, depth):
     kinds = [kind for kind, _ in pngfile.split(out.read_bytes())]
     assert kinds[:6] == [b"IHDR", b"cICP", b"iCCP", b"gAMA", b"cHRM", b"IDAT"]
     part = hpcomp.info(out).parts[0]
-    assert (str(part.encoding), part.encoding_source) == (f"sRGB, {name}", "cICP")
+    assert (str(part.encoding), part.color.transfer_from) == (f"sRGB, {name}", "cICP")
     assert part.icc_profile == f"{name}, sRGB curve"
     # Without the first, each of the others says the same.
     for gone, curve in ((b"cICP",), "sRGB"), ((b"cICP", b"iCCP"), "gamma 2.2"):

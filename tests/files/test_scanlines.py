@@ -962,7 +962,7 @@ class TestWrittenExr:
         assert part.data_window == Window(5, -6, 9, 21)
         assert part.display_window == Window(-1, 2, 90, 80)
         assert (part.pixel_aspect, part.compression) == (2.0, "zip")
-        assert part.encoding_source == "colorInteropID"
+        assert part.color.primaries_from == "colorInteropID"
         assert part.pixels_per_metre == pytest.approx((72 / 0.0254, 144 / 0.0254))
         assert part.problems == ()
 

@@ -1,0 +1,23 @@
+"""What a file says of its colours, and what of it said so. Reads no file."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ..color.encodings import ColorEncoding
+
+#: What says it where the file does not.
+DEFAULT = "default"
+
+
+@dataclass(frozen=True)
+class FileColor:
+    """How stored RGB means light: `transfer_from` and `primaries_from` say what told each of them.
+
+    `problems`: what is not honoured.
+    """
+
+    encoding: ColorEncoding
+    transfer_from: str
+    primaries_from: str
+    problems: tuple[str, ...] = ()
