@@ -37,6 +37,7 @@ class PictureKeywords(TypedDict, total=False):
     write_if_changed: bool
     threads: int | None
     max_memory: str | int
+    max_pixels: str | int
 
 
 class FlattenKeywords(PictureKeywords, total=False):

@@ -36,7 +36,7 @@ from .color.primaries import (
 )
 from .color.spaces import BUILDERS, DEFAULT_SPACE
 from .errors import SettingError, nearest, nearest_name, unknown_name
-from .geometry import Window, parse_canvas, parse_window
+from .geometry import MAX_PIXELS, Window, parse_canvas, parse_pixels, parse_window
 from .imagefile.forms import COMPRESSIONS, DEPTHS, FORMATS, NONFINITE_POLICIES
 from .measures.defaults import (
     DEFAULT_ACHROMATIC,
@@ -134,6 +134,11 @@ def _checked_region(region: str | Window) -> Window:
 def _checked_memory(memory: str | int) -> str | int:
     parse_bytes(memory)
     return memory
+
+
+def _checked_pixels(pixels: str | int) -> str | int:
+    parse_pixels(pixels)
+    return pixels
 
 
 def _checked_order(order: str | Sequence[int]) -> str | Sequence[int]:
@@ -408,6 +413,12 @@ class ResourceOptions(_Group):
     )
     max_memory: str | int = _option(
         "1G", "Memory for pixels and codecs, such as 512M.", metavar="SIZE", check=_checked_memory
+    )
+    max_pixels: str | int = _option(
+        MAX_PIXELS,
+        "Refuse a file or a canvas of more pixels than this, such as 500M or 4G (powers of 1000).",
+        metavar="NUMBER",
+        check=_checked_pixels,
     )
 
 

@@ -323,7 +323,9 @@ def check(
             stack = opened.enter_context(opened_stack(specs, rules, checked, notices))
             rules = stack.rules
         name = f"picture ({'stdin' if picture.path == STDIN else picture.path})"
-        reader = opened.enter_context(opened_layer(picture, name, checked.rules.nonfinite))
+        reader = opened.enter_context(
+            opened_layer(picture, name, checked.rules.nonfinite, checked.resources.max_pixels)
+        )
         reader.work_in(rules.primaries)
         warn_of_problems(reader, notices)
         placed = _placed_picture(reader, picture, None if stack is None else stack.canvas)

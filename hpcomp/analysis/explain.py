@@ -206,10 +206,7 @@ def explain(
     with opened_stack(specs, rules, checked, notices) as stack:
         rules = stack.rules
         window = output_window(
-            stack.canvas,
-            [layer.window for layer in stack.layers],
-            checked.canvas.overscan,
-            checked.canvas.region,
+            stack.canvas, [layer.window for layer in stack.layers], checked.canvas
         )
         if not window.contains(Window(x, y, 1, 1)):
             raise MismatchError(

@@ -87,6 +87,7 @@ def read_hues(
     strict: bool = RuleOptions.strict,
     threads: int | None = None,
     max_memory: str | int = ResourceOptions.max_memory,
+    max_pixels: str | int = ResourceOptions.max_pixels,
 ) -> HueHistogram:
     """Counts the pixels of a file by hue, as `hpcomp hues` does; memory does not follow its height.
 
@@ -94,18 +95,18 @@ def read_hues(
     `bins`, `space`, `achromatic`: as in `hue_histogram`. `nonfinite`: `error`, `zero` or `keep`,
     for NaN and Inf. `strict`: warnings become errors. `threads`: all cores if None.
     `max_memory`: for pixels and codecs, in bytes or as `512M`; where it is short, there are fewer
-    threads, and fewer rows at a time.
+    threads, and fewer rows at a time. `max_pixels`: a file that claims more is refused.
     Returns: a `HueHistogram`, the same for any number of threads and any memory.
     Errors: `SettingError`, `InputError`, `MismatchError`. Warnings: `HpcompWarning`.
     """
     spec = measured_image(path)
     check_nonfinite(nonfinite)
-    granted = ResourceOptions(threads, max_memory)
+    granted = ResourceOptions(threads, max_memory, max_pixels)
     none = total = HueHistogram.empty(bins, space, achromatic)
     notices = Notices(strict)
     begun = time.perf_counter()
     with (
-        opened_layer(spec, image_label(spec), nonfinite) as reader,
+        opened_layer(spec, image_label(spec), nonfinite, max_pixels) as reader,
         codec_threads([reader], reading=1, writing=1),
     ):
         warn_of_problems(reader, notices)

@@ -54,7 +54,7 @@ def _print_schema(ctx: click.Context, param: click.Parameter, value: bool) -> No
 )
 @at_a_time("Jobs at a time, each on a core: all cores if not given, but so that each job has 128M.")
 @stack_options(
-    *("threads", "max_memory"),
+    *("threads", "max_memory", "max_pixels"),
     help={
         "threads": "Threads of all jobs together: as many as cores are used if not given.",
         "max_memory": "Memory for pixels and codecs of all jobs together, such as 512M.",

@@ -21,7 +21,7 @@ from .words import Layer
 CHECKED = (
     *("foreign_tolerance", "achromatic"),
     *("op", "space", "primaries", "hue_tolerance", "exposure", "region", "canvas", "background"),
-    *("nonfinite", "strict", "threads", "max_memory"),
+    *("nonfinite", "strict", "threads", "max_memory", "max_pixels"),
 )
 
 SHORT_HELP = "Fail if a picture has lost the hues of its layers."

@@ -16,7 +16,7 @@ from .words import Layer
 EXPLAINED = (
     *("op", "blending", "order", "space", "primaries", "hue_tolerance", "gray_bias"),
     *("foreign_tolerance", "achromatic", "exposure", "region", "canvas", "overscan", "background"),
-    *("nonfinite", "strict", "threads", "max_memory"),
+    *("nonfinite", "strict", "threads", "max_memory", "max_pixels"),
 )
 HELP = {
     **NEAR_A_LAYER,

@@ -49,7 +49,7 @@ has the channels Z and A, and ZBack if it has volumes; samples without a colour 
 @stack_options(
     *("format", "blending", "order", "space", "primaries", "hue_tolerance", "gray_bias", "depth"),
     *("compression", "out_primaries", "exposure", "region", "clobber", "canvas", "overscan"),
-    *("background", "nonfinite", "strict", "threads", "max_memory"),
+    *("background", "nonfinite", "strict", "threads", "max_memory", "max_pixels"),
     *("depfile", "depfile_target", "write_if_changed"),
     help={
         "order": f"In which order the samples' colours are added: {', '.join(ORDERS)}. The bottom "

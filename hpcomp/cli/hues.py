@@ -103,7 +103,7 @@ formats:
         "transparent), keep (it is counted as such)."
     },
 )
-@stack_options("strict", "threads", "max_memory")
+@stack_options("strict", "threads", "max_memory", "max_pixels")
 @make_options
 @message_options
 @click.pass_context

@@ -52,8 +52,8 @@ keys, unless the whole argument is an existing file. A value cannot contain a co
 @stack_options(
     *("format", "op", "blending", "order", "space", "primaries", "hue_tolerance", "gray_bias"),
     *("depth", "compression", "out_primaries", "exposure", "region", "clobber", "canvas"),
-    *("overscan", "background", "nonfinite", "strict", "threads", "max_memory", "report"),
-    *("provenance", "foreign_tolerance", "achromatic", "bins", "energy_weights"),
+    *("overscan", "background", "nonfinite", "strict", "threads", "max_memory", "max_pixels"),
+    *("report", "provenance", "foreign_tolerance", "achromatic", "bins", "energy_weights"),
     *("depfile", "depfile_target", "write_if_changed"),
 )
 @click.option(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import logging
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -38,15 +38,18 @@ def open_deep(
     part: str | None,
     layer: str | None,
     interpretation: Interpretation = AS_STORED,
+    check: Callable[[Part], None],
     label: str,
 ) -> Iterator[DeepReader]:
     """The reader of that part and layer, as `choose` and `DeepReader` have it.
 
+    `check` refuses a part before any of its samples is looked at.
     What is packed in another way than is read here is repacked first, into a temporary file.
     """
     with contextlib.ExitStack() as opened:
         file = describe(path, label)
         chosen, group = choose(file, part=part, layer=layer, deep=True, label=label)
+        check(chosen)
         left_out = interpretation.unanswered(omissions(file, chosen, group))
         if chosen.compression not in COMPRESSIONS.values():
             from .openimageio import repack_deep

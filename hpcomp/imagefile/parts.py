@@ -99,6 +99,19 @@ class Part:
             "colorspace="
         )
 
+    def excess(self, max_pixels: int) -> str:
+        """What to say of it where it claims more pixels than so many; empty where it does not.
+
+        A display window counts as a data window does: a canvas may be made of it.
+        """
+        larger = max(self.data_window, self.display_window, key=lambda window: window.pixels)
+        if larger.pixels <= max_pixels:
+            return ""
+        return (
+            f"it claims {larger.width}x{larger.height}, which is {larger.pixels:,} pixels and more "
+            f"than {max_pixels:,}: raise --max-pixels if that is right"
+        )
+
 
 @dataclass(frozen=True)
 class ImageFile:

@@ -14,6 +14,7 @@ from graphlib import CycleError, TopologicalSorter
 from typing import Any, BinaryIO
 
 from ..errors import ExitCode, InputError, SettingError
+from ..geometry import parse_pixels
 from ..options import OutputOptions, ResourceOptions
 from ..system.depfile import Depfile
 from ..system.memory import parse_bytes
@@ -87,6 +88,7 @@ def batch(
     workers: int | None = None,
     threads: int | None = None,
     max_memory: str | int = ResourceOptions.max_memory,
+    max_pixels: str | int = ResourceOptions.max_pixels,
     fail_fast: bool = False,
     skip_existing: bool = False,
     update: bool = False,
@@ -109,8 +111,8 @@ def batch(
     output waits for it.
     `workers`: jobs at a time, each on a core of its own; one for each core if None, but so that
     each has 128M of `max_memory`. `threads`, as many as cores are used if None, and `max_memory`
-    are for all of them together. `write_if_changed`: as in `stack`. What a job says of these itself
-    goes first.
+    are for all of them together. `max_pixels` and `write_if_changed`: as in `stack`. What a job
+    says of these itself goes first.
     A failure does not stop the others; with `fail_fast` no more are begun. `skip_existing`: jobs
     whose outputs all exist are left out. `update`: jobs whose inputs (by content), options and
     outputs are as they were are left out. `resume`: those that an interrupted run has done are left
@@ -145,6 +147,7 @@ def batch(
         )
     deps = Depfile.asked(depfile, depfile_target, [job.output for job in todo])
     memory = parse_bytes(max_memory)
+    parse_pixels(max_pixels)
     begin = time.perf_counter()
     makers = _makers(todo)
     needs = _needs(todo, makers)
@@ -183,6 +186,7 @@ def batch(
             granted={
                 **crew.granted,
                 "command": command,
+                "max_pixels": max_pixels,
                 **({"write_if_changed": True} if write_if_changed else {}),
             },
             fail_fast=fail_fast,

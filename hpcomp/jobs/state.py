@@ -27,7 +27,7 @@ from .schema import Job
 #: of its clock.
 RACY_NS = 2 * 10**9
 #: Options that have no part in what is written.
-_WITHOUT_EFFECT = ("threads", "max_memory", "clobber", "write_if_changed")
+_WITHOUT_EFFECT = ("threads", "max_memory", "max_pixels", "clobber", "write_if_changed")
 
 #: What is known of a file: `stat`, when that was looked at, and the SHA-256 of its content.
 Signature = dict[str, Any]

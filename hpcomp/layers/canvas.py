@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from functools import reduce
 
 from ..errors import MismatchError
-from ..geometry import Placement, Window
+from ..geometry import Placement, Window, parse_pixels
+from ..options import CanvasOptions
 
 
 @dataclass(frozen=True)
@@ -84,17 +85,29 @@ def _shown(window: Window) -> str:
 
 
 def output_window(
-    canvas: Window, data: Sequence[Window], overscan: bool, region: Window | None
+    canvas: Window,
+    data: Sequence[Window],
+    wanted: CanvasOptions,
+    max_pixels: str | int | None = None,
 ) -> Window:
     """The data window of the output: the canvas, with all overscan if wanted, or a region of it.
 
-    `data`: the layers' data windows, placed. Errors: `MismatchError` for a region outside.
+    `data`: the layers' data windows, placed. `max_pixels`: how many it may have, where they are all
+    made. Errors: `MismatchError` for a region outside, and for more pixels.
     """
-    whole = reduce(Window.union, data, canvas) if overscan else canvas
-    if region is None:
-        return whole
-    if not whole.contains(region):
+    window = reduce(Window.union, data, canvas) if wanted.overscan else canvas
+    region = wanted.region
+    if region is not None:
+        assert isinstance(region, Window)  # as its check leaves it
+        if not window.contains(region):
+            raise MismatchError(
+                f"region {region} is not inside the canvas {window}: choose a window within it"
+            )
+        window = region
+    if max_pixels is not None and window.pixels > parse_pixels(max_pixels):
         raise MismatchError(
-            f"region {region} is not inside the canvas {whole}: choose a window within it"
+            f"the picture would be {window.width}x{window.height}, which is {window.pixels:,} "
+            f"pixels and more than {parse_pixels(max_pixels):,}: raise --max-pixels if that is "
+            "right, or choose another --canvas or a --region"
         )
-    return region
+    return window

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterator
+from functools import partial
 from typing import TYPE_CHECKING
 
+from ..errors import InputError
+from ..geometry import parse_pixels
 from ..imagefile.description import describe
 from ..imagefile.interpretation import Interpretation
-from ..imagefile.parts import choose
+from ..imagefile.parts import Part, choose
 from ..imagefile.reading import LayerReader
 from ..imagefile.seekable import seekable
 from .layerspec import LAYER_KEYS, LayerSpec
@@ -22,25 +25,37 @@ def _interpretation(spec: LayerSpec, nonfinite: str) -> Interpretation:
     return Interpretation(spec.alpha, spec.colorspace, spec.tint, nonfinite, given)
 
 
+def _check_size(part: Part, max_pixels: str | int, label: str) -> None:
+    """`InputError` where it claims more pixels, before memory is taken for any of them."""
+    excess = part.excess(parse_pixels(max_pixels))
+    if excess:
+        raise InputError(f"{label}: {excess}")
+
+
 @contextlib.contextmanager
-def opened_layer(spec: LayerSpec, label: str, nonfinite: str) -> Iterator[LayerReader]:
+def opened_layer(
+    spec: LayerSpec, label: str, nonfinite: str, max_pixels: str | int
+) -> Iterator[LayerReader]:
     """A reader of the layer's pixels, closed at the end of the block.
 
     `label` names it in errors. `nonfinite`: a policy on NaN and Inf, as in `Interpretation`.
-    Errors: `SettingError`, `InputError`.
+    `max_pixels`: how many it may claim. Errors: `SettingError`, `InputError`.
     """
     with seekable(spec.path, label) as path:
         file = describe(path, label)
         part, group = choose(
             file, part=spec.part, layer=spec.layer, mask=spec.tint is not None, label=label
         )
+        _check_size(part, max_pixels, label)
         reader = LayerReader(file, part, group, _interpretation(spec, nonfinite), label)
         with contextlib.closing(reader):
             yield reader
 
 
 @contextlib.contextmanager
-def opened_deep_layer(spec: LayerSpec, label: str, nonfinite: str) -> Iterator[DeepReader]:
+def opened_deep_layer(
+    spec: LayerSpec, label: str, nonfinite: str, max_pixels: str | int
+) -> Iterator[DeepReader]:
     """A reader of the layer's deep samples, closed at the end of the block; as `opened_layer`."""
     from ..imagefile.deepreading import open_deep  # of which a stack has no use
 
@@ -51,6 +66,7 @@ def opened_deep_layer(spec: LayerSpec, label: str, nonfinite: str) -> Iterator[D
             part=spec.part,
             layer=spec.layer,
             interpretation=_interpretation(spec, nonfinite),
+            check=partial(_check_size, max_pixels=max_pixels, label=label),
             label=label,
         ) as reader,
     ):

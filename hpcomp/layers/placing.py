@@ -110,11 +110,11 @@ def opened_stack(
     Errors: `SettingError`, `InputError`, `MismatchError`.
     """
     check_stdin(specs, "layers")
-    nonfinite = options.rules.nonfinite
+    nonfinite, max_pixels = options.rules.nonfinite, options.resources.max_pixels
     with contextlib.ExitStack() as opened:
         _allow_open_files(len(specs))
         readers = [
-            opened.enter_context(opened_layer(spec, spec.label(number), nonfinite))
+            opened.enter_context(opened_layer(spec, spec.label(number), nonfinite, max_pixels))
             for number, spec in enumerate(specs)
         ]
         if options.rules.primaries == BOTTOM:

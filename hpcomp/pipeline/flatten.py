@@ -27,8 +27,8 @@ from ..color.quantization import Losses
 from ..color.samples import Samples
 from ..engine import choice as engine
 from ..engine.deepcompositing import bytes_to_reduce, flat
-from ..errors import SettingError
-from ..geometry import Window
+from ..errors import InputError, SettingError
+from ..geometry import Window, parse_pixels
 from ..imagefile.deepreading import DeepReader
 from ..imagefile.source import codec_threads
 from ..imagefile.writing import OutputForm
@@ -169,17 +169,16 @@ def _planned(request: PictureRequest, opened: contextlib.ExitStack) -> Flattenin
     request.place_depfile(opened)
     options, rules = request.options, request.rules
     notices = Notices(options.rules.strict)
+    nonfinite, max_pixels = options.rules.nonfinite, options.resources.max_pixels
     readers = [
-        opened.enter_context(opened_deep_layer(spec, spec.title, options.rules.nonfinite))
+        opened.enter_context(opened_deep_layer(spec, spec.title, nonfinite, max_pixels))
         for spec in request.specs
     ]
     if options.rules.primaries == BOTTOM:
         rules = rules.in_primaries(readers[0].decoding.encoding.primaries)
     _prepare(readers, rules, notices)
     images, canvas = _placed(request.specs, readers, options.canvas.canvas)
-    window = output_window(
-        canvas, [image.window for image in images], options.canvas.overscan, options.canvas.region
-    )
+    window = output_window(canvas, [image.window for image in images], options.canvas, max_pixels)
     threads, strips = _strips(images, window, rules, request.form, options.resources)
     opened.enter_context(codec_threads([request.form], reading=1, writing=threads))
     return FlatteningPlan(
@@ -292,6 +291,7 @@ def _strips(
     largest_chunk = deepest = 0
     for image in images:
         counts = image.reader.count()
+        _check_samples(image.reader, int(counts.rows.sum()), parse_pixels(granted.max_pixels))
         image.add_rows(counts.rows, window, row_samples)
         largest_chunk = max(largest_chunk, counts.largest_chunk)
         deepest += counts.deepest  # no pixel has more
@@ -300,6 +300,14 @@ def _strips(
     reducing = bytes_to_reduce(rules, deepest, has_volumes)
     need = replace(need, chunk=largest_chunk, reducing=reducing, deepest=deepest)
     return need.strips(row_samples, thread_count(granted.threads))
+
+
+def _check_samples(reader: DeepReader, samples: int, most: int) -> None:
+    if samples > most:
+        raise InputError(
+            f"{reader.label}: it claims {samples:,} samples, which is more than {most:,}: raise "
+            "--max-pixels if that is right"
+        )
 
 
 class _Work:

@@ -22,7 +22,7 @@ from ..imagefile.writing import OutputForm, format_of_output, open_writer
 from ..layers.layerspec import layer_spec
 from ..layers.notices import Notices, warn_of_losses, warn_of_problems, warn_of_zeroed
 from ..layers.opening import opened_layer
-from ..options import OutputOptions, RuleOptions
+from ..options import OutputOptions, ResourceOptions, RuleOptions
 from ..system.outputs import whole_output
 from ..system.streams import STDIN
 
@@ -38,12 +38,14 @@ def read_layer(
     primaries: str = RuleOptions.primaries,
     nonfinite: str = RuleOptions.nonfinite,
     strict: bool = RuleOptions.strict,
+    max_pixels: str | int = ResourceOptions.max_pixels,
 ) -> LayerImage:
     """Reads one layer whole, as `stack` would.
 
     `path`: a file or a LAYER string; the keywords override its settings and mean the same.
     `primaries`: what the colours are converted to, a name of `stack` other than `bottom`.
     `nonfinite`: `error`, `zero` or `keep`, for NaN and Inf. `strict`: warnings become errors.
+    `max_pixels`: a file that claims more is refused; a number, or `4G`.
     Returns: pixels (height, width, 4) float32, linear Rec. 709 or of `primaries`, premultiplied,
     over `data_window`.
     Errors: `SettingError`, `InputError`, `MismatchError`. Warnings: `HpcompWarning`.
@@ -59,7 +61,7 @@ def read_layer(
         tint=tint or spec.tint,
     )
     notices = Notices(strict)
-    with opened_layer(spec, spec.path, nonfinite) as reader:
+    with opened_layer(spec, spec.path, nonfinite, max_pixels) as reader:
         reader.work_in(working)
         window = reader.window
         pixels = np.empty((window.height, window.width, 4), np.float32)

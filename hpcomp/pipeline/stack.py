@@ -93,9 +93,12 @@ def _planned(
     stacked = opened.enter_context(
         opened_stack(request.specs, request.rules, request.options, notices)
     )
-    wanted = request.options.canvas
+    options = request.options
     window = output_window(
-        stacked.canvas, [layer.window for layer in stacked.layers], wanted.overscan, wanted.region
+        stacked.canvas,
+        [layer.window for layer in stacked.layers],
+        options.canvas,
+        options.resources.max_pixels,
     )
     readers = [layer.reader for layer in stacked.layers]
     threads, strip_rows = share_out(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from ..errors import InputError, printable
-from ..geometry import Window
+from ..geometry import MAX_PIXELS, Window, parse_pixels
 from ..imagefile.header import METRES_PER_INCH
 from ..imagefile.omissions import omissions
 from ..imagefile.parts import Channel, ColorGroup, ImageFile, Part, choose
@@ -18,7 +18,8 @@ def as_data(file: ImageFile) -> dict[str, Any]:
     """One file as dictionaries, lists, strings and numbers.
 
     `read_as` names the part and layer that are read where nothing is chosen, or is null with the
-    reason in `problem`. `left_out` says what of the file is then not in the picture.
+    reason in `problem`. `warnings` say what of the file is then not in the picture, and whether it
+    claims more pixels than are read where nobody says otherwise.
     """
     data: dict[str, Any] = {"path": file.path, "format": file.format}
     try:
@@ -26,9 +27,11 @@ def as_data(file: ImageFile) -> dict[str, Any]:
         if part.refusal:
             raise InputError(f"{file.path}: {part.refusal}")
         data["read_as"] = {"part": part.index, "layer": group.layer}
-        data["left_out"] = [omission.text for omission in omissions(file, part, group)]
+        notes = [omission.text for omission in omissions(file, part, group)]
+        notes.append(part.excess(parse_pixels(MAX_PIXELS)))
+        data["warnings"] = list(filter(None, notes))
     except InputError as problem:
-        data["read_as"], data["problem"], data["left_out"] = None, str(problem), []
+        data["read_as"], data["problem"], data["warnings"] = None, str(problem), []
     data["parts"] = [_part_data(file, part) for part in file.parts]
     return data
 
@@ -127,5 +130,5 @@ def as_text(file: ImageFile) -> str:
         rows += [("warning", problem) for problem in part.problems]
         width = max(len(name) for name, _ in rows)
         lines += [f"  {name:<{width}}  {value}" for name, value in rows]
-    lines += [f"  warning: {text}" for text in data["left_out"]]
+    lines += [f"  warning: {text}" for text in data["warnings"]]
     return "\n".join(map(printable, lines))

@@ -1196,7 +1196,7 @@ def test_info_as_json(desk):
         {"name": name, "type": "uint8", "sampling": [1, 1]} for name in "RGBA"
     ]
     assert (part["transfer_from"], part["primaries_from"]) == ("default", "default")
-    assert (png["left_out"], exr["left_out"]) == ([], [])
+    assert (png["warnings"], exr["warnings"]) == ([], [])
     assert part["data_window"] == {"x": 0, "y": 0, "width": 10, "height": 8}
     assert part["display_window"] == part["data_window"]
     assert part["layers"] == [

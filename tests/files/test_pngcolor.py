@@ -492,4 +492,4 @@ def test_a_damaged_chunk_beside_the_colours_is_a_warning_of_every_command(desk):
         assert desk.run(*arguments, "--strict").code == 3
     assert f"warning: {words}" in info(desk, "a.png")
     (file,) = json.loads(info(desk, "a.png", "--json"))["files"]
-    assert file["left_out"] == [words]
+    assert file["warnings"] == [words]
