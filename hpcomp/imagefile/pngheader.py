@@ -51,6 +51,9 @@ _PIECE_BYTES = 1 << 20
 #: No display profile is larger; a hostile one is not unpacked beyond it.
 _PROFILE_BYTES = 1 << 24
 
+#: The power that stands for sRGB in a gAMA chunk alone: 45455, or what is rounded in another way.
+_GAMMA_OF_SRGB = 2.2
+
 #: ITU-T H.273 code points: colour primaries, transfer curves.
 _CICP_PRIMARIES: dict[int, Primaries] = {
     1: PRIMARIES["rec709"],
@@ -138,7 +141,8 @@ class PngHeader:
                 problems.append(str(reason))
         if b"gAMA" in self.chunks:
             try:
-                transfer, transfer_from = _transfer_of(self.chunks[b"gAMA"]), "gAMA"
+                of_srgb = primaries_from == DEFAULT
+                transfer, transfer_from = _transfer_of(self.chunks[b"gAMA"], of_srgb), "gAMA"
             except ValueError as reason:
                 problems.append(str(reason))
         encoding = ColorEncoding(transfer, primaries)
@@ -180,12 +184,17 @@ def _from_srgb(header: PngHeader) -> ColorEncoding:
     return SRGB_ENCODING
 
 
-def _transfer_of(gama: bytes) -> Transfer:
-    """The curve that gAMA names; `ValueError` where it names none."""
+def _transfer_of(gama: bytes, alone: bool) -> Transfer:
+    """The curve that gAMA names; `ValueError` where it names none.
+
+    It is a pure power, but where it is `alone`, without cHRM, 2.2 is how sRGB was written before
+    there was an sRGB chunk: libpng and browsers leave such samples as they are.
+    """
     exponent = struct.unpack(">I", gama)[0] if len(gama) == 4 else 0
     if not exponent:
         raise ValueError("a gAMA chunk that is zero or not 4 bytes long")
-    return gamma(100000 / exponent)
+    power = 100000 / exponent
+    return SRGB if alone and round(power, 2) == _GAMMA_OF_SRGB else gamma(power)
 
 
 def _primaries_of(chrm: bytes) -> Primaries:

@@ -240,7 +240,8 @@ def with_head(*chunks, colour=pngfile.RGBA):
 @pytest.mark.parametrize(
     ("chunks", "curve"),
     [
-        ([pngfile.gama(45455)], pngfile.power(1 / 0.45455)),
+        ([pngfile.gama(45455)], pngfile.srgb_to_linear),
+        ([pngfile.gama(45000)], pngfile.power(1 / 0.45)),
         ([pngfile.gama(50000)], pngfile.power(2.0)),
         ([pngfile.gama(41237)], pngfile.power(1 / 0.41237)),
         ([pngfile.gama(100000)], pngfile.power(1.0)),

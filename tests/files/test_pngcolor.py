@@ -419,6 +419,40 @@ def test_a_profile_is_not_unpacked_beyond_all_measure(tmp_path):
         hpcomp.read_layer(path)
 
 
+# ---- gAMA of 2.2 ----------------------------------------------------------------------------
+
+CODES = [16, 32, 64, 128, 200]
+OF_SRGB = pngfile.chrm(pngfile.D65_XY, *pngfile.SRGB_XY)
+
+
+@pytest.mark.parametrize(
+    ("chunks", "shown"),
+    [
+        ([], CODES),
+        ([pngfile.gama(45455)], CODES),
+        ([pngfile.gama(45454)], CODES),
+        ([pngfile.gama(45455), OF_SRGB], [7, 26, 62, 129, 201]),
+        ([pngfile.gama(45455), OF_SRGB, pngfile.srgb()], CODES),
+        ([pngfile.gama(100000)], [71, 99, 137, 188, 229]),
+        ([pngfile.gama(100000), OF_SRGB], [71, 99, 137, 188, 229]),
+    ],
+    ids=lambda value: "+".join(kind.decode() for kind, _ in value if isinstance(kind, bytes))
+    if isinstance(value, list) and value and isinstance(value[0], tuple)
+    else "",
+)
+def test_gama_means_what_browsers_take_it_for(tmp_path, chunks, shown):
+    """The codes are what Chromium 150 draws into a canvas; Firefox and libpng do the same.
+
+    PNG third edition, 11.3.2.2, has a pure power: as all of them do where there is cHRM beside it.
+    """
+    samples = np.repeat(np.array(CODES)[None, :, None], 3, axis=2)
+    png = pngfile.Png(samples, pngfile.RGB, 8).with_chunks(head=chunks)
+    (tmp_path / "a.png").write_bytes(png.encode())
+    hpcomp.stack([str(tmp_path / "a.png")], tmp_path / "out.png")
+    found = pngfile.decode((tmp_path / "out.png").read_bytes())[0, :, :3]
+    assert np.array_equal(found, np.repeat(np.array(shown)[:, None], 3, axis=1))
+
+
 # ---- the command ----------------------------------------------------------------------------
 
 
