@@ -106,7 +106,7 @@ def read_hues(
     notices = Notices(strict)
     begun = time.perf_counter()
     with (
-        opened_layer(spec, image_label(spec), nonfinite, max_pixels) as reader,
+        opened_layer(spec, image_label(spec), nonfinite, max_pixels, placed=False) as reader,
         codec_threads([reader], reading=1, writing=1),
     ):
         warn_of_problems(reader, notices)

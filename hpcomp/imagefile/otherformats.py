@@ -21,7 +21,7 @@ class OtherFormat:
     offset: int = 0
 
 
-_BY_OIIOTOOL = "oiiotool IN -o OUT.png"
+_BY_OIIOTOOL = "oiiotool --no-autopremult IN -o OUT.png"
 _BY_IMAGEMAGICK = "magick IN OUT.png"
 _TO_EXR = "oiiotool IN -o OUT.exr"
 _BY_AN_EDITOR = "write it as PNG or EXR with the program that made it"

@@ -155,10 +155,14 @@ def color_groups(channels: Sequence[Channel]) -> tuple[ColorGroup, ...]:
     return tuple(groups)
 
 
-def _alphas(part: Part) -> list[tuple[str, Channel]]:
+def _component(channel: Channel) -> str | None:
+    """What a channel is of a colour: R, G, B, Y, A, or another of `_COMPONENTS`; None for none."""
+    return _COMPONENTS.get(channel.name.rpartition(".")[2].lower())
+
+
+def alphas_of(part: Part) -> list[tuple[str, Channel]]:
     """The alphas of a part, each with the name of its layer."""
-    named = ((c.name.rpartition("."), c) for c in part.channels)
-    return [(name[0], c) for name, c in named if _COMPONENTS.get(name[2].lower()) == "A"]
+    return [(c.name.rpartition(".")[0], c) for c in part.channels if _component(c) == "A"]
 
 
 def _masks(part: Part, layer: str | None) -> list[ColorGroup]:
@@ -217,7 +221,7 @@ def choose(
         )
     colors = [(p, group) for p in flat for group in p.groups]
     if deep and not colors:
-        colors = [(p, ColorGroup(name, (), c)) for p in flat for name, c in _alphas(p)]
+        colors = [(p, ColorGroup(name, (), c)) for p in flat for name, c in alphas_of(p)]
     channels = ", ".join(c.name for p in flat for c in p.channels)
     if layer is not None:
         named = [(p, g) for p, g in colors if g.layer == layer]
@@ -235,8 +239,11 @@ def choose(
         if mask and not named:
             named = [(p, g) for p in flat for g in _masks(p, None)]
     if not named:
+        components = {_component(c) for p in flat for c in p.channels}
         what_next = (
-            "choose the mask with layer=" if mask
+            "R, G and B are in several parts, of which one is read: write them into one"
+            if len(flat) > 1 and components >= set("RGB")
+            else "choose the mask with layer=" if mask
             else "R, G and B or Y, or A, are needed" if deep
             else "R, G, B or Y is needed, or tint= to colour a mask"
         )  # fmt: skip
@@ -256,7 +263,7 @@ def choose(
 
 
 #: Alphas of one colour each, by both spellings that were ever recommended.
-_ALPHAS_OF_COLORS = ("AR", "AG", "AB", "RA", "GA", "BA")
+ALPHAS_OF_COLORS = ("AR", "AG", "AB", "RA", "GA", "BA")
 
 
 def deep_alpha(part: Part, group: ColorGroup, label: str) -> Channel:
@@ -269,7 +276,7 @@ def deep_alpha(part: Part, group: ColorGroup, label: str) -> Channel:
     layer = group.layer
     while True:
         prefix = f"{layer}." if layer else ""
-        several = [prefix + name for name in _ALPHAS_OF_COLORS if prefix + name in channels]
+        several = [prefix + name for name in ALPHAS_OF_COLORS if prefix + name in channels]
         if several:
             raise InputError(
                 f"{label} has an alpha for each colour, {', '.join(several)}, which would give "

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import BinaryIO
 
@@ -34,7 +34,8 @@ SIGNATURE = b"\x89PNG\r\n\x1a\n"
 #: Where the data of the first chunk begin, behind its size and kind.
 _FIRST_DATA = len(SIGNATURE) + 8
 #: Chunks whose content is kept; the others are only verified.
-_KEPT = {b"IHDR", b"tRNS", b"gAMA", b"cHRM", b"sRGB", b"iCCP", b"cICP", b"pHYs"}
+_KEPT = {b"IHDR", b"PLTE", b"tRNS", b"gAMA", b"cHRM", b"sRGB", b"iCCP", b"cICP", b"pHYs"}
+_KEPT |= {b"acTL", b"eXIf", b"oFFs"}
 #: Those that must be understood.
 _CRITICAL = {b"IHDR", b"PLTE", b"IDAT", b"IEND"}
 #: Those that decide colour, and that the image data follow: without one the picture is another.
@@ -48,7 +49,7 @@ _CHANNELS = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}
 #: How many bytes deflate makes of one at most.
 _MOST_OF_A_BYTE = 1032
 _PIECE_BYTES = 1 << 20
-#: No display profile is larger; a hostile one is not unpacked beyond it.
+#: No display profile is larger; a hostile one is not unpacked beyond it, and no chunk is kept.
 _PROFILE_BYTES = 1 << 24
 
 #: The power that stands for sRGB in a gAMA chunk alone: 45455, or what is rounded in another way.
@@ -250,8 +251,12 @@ def read_header(path: str) -> PngHeader:
                     image_data.append((chunk.offset, chunk.size))
             elif kind in _DECIDES_COLOR and begun:
                 dropped.append(f"{_shown(kind)} is behind the image data, and it is left out")
+            elif kind == b"tRNS" and not _fits(chunk.data, kept):
+                dropped.append("its tRNS chunk does not fit it, and it is left out")
             elif kind in _KEPT and kind not in kept:
                 kept[kind] = chunk.data
+        if file.read(8) == SIGNATURE:
+            dropped.append("another PNG is behind its end, and it is left out")
     if len(kept.get(b"IHDR", b"")) != 13 or not image_data:
         raise InputError("damaged PNG: it has no image data")
     width, height, depth, color_type, deflate, filters, interlace = struct.unpack(
@@ -306,7 +311,7 @@ def _chunks(file: BinaryIO) -> Iterator[_Chunk]:
                 raise InputError(f"truncated PNG: it ends inside {_shown(kind)}")
             checksum = zlib.crc32(piece, checksum)
             left -= len(piece)
-            if kind in _KEPT:
+            if kind in _KEPT and size <= _PROFILE_BYTES:
                 data += piece
         sound = file.read(4) == struct.pack(">I", checksum)
         yield _Chunk(kind, data, at + 8, size, sound)
@@ -321,6 +326,14 @@ def _can_be_dropped(kind: bytes) -> bool:
     number = int.from_bytes(kind)
     bits = [(number ^ int.from_bytes(other)).bit_count() for other in _CRITICAL | _DECIDES_COLOR]
     return kind.isalpha() and kind.isascii() and kind[:1].islower() and min(bits) > 1
+
+
+def _fits(transparency: bytes, kept: Mapping[bytes, bytes]) -> bool:
+    """Whether a tRNS chunk is one of such a picture, at this place: libpng leaves others out."""
+    color_type = kept.get(b"IHDR", bytes(10))[9]
+    if color_type == _PALETTE:
+        return 1 <= len(transparency) <= len(kept.get(b"PLTE", b"")) // 3
+    return len(transparency) == {0: 2, 2: 6}.get(color_type)
 
 
 def _shown(kind: bytes) -> str:

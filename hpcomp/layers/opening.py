@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -20,9 +20,14 @@ if TYPE_CHECKING:
     from ..imagefile.deepreading import DeepReader
 
 
-def _interpretation(spec: LayerSpec, nonfinite: str) -> Interpretation:
-    given = frozenset(key for key in LAYER_KEYS if getattr(spec, key) != getattr(LayerSpec, key))
-    return Interpretation(spec.alpha, spec.colorspace, spec.tint, nonfinite, given)
+def _interpretation(
+    spec: LayerSpec, nonfinite: str, answered: Iterable[str] = ()
+) -> Interpretation:
+    """`answered`: settings whose question does not arise."""
+    given = {key for key in LAYER_KEYS if getattr(spec, key) != getattr(LayerSpec, key)}
+    return Interpretation(
+        spec.alpha, spec.colorspace, spec.tint, nonfinite, frozenset(given.union(answered))
+    )
 
 
 def _check_size(part: Part, max_pixels: str | int, label: str) -> None:
@@ -34,12 +39,18 @@ def _check_size(part: Part, max_pixels: str | int, label: str) -> None:
 
 @contextlib.contextmanager
 def opened_layer(
-    spec: LayerSpec, label: str, nonfinite: str, max_pixels: str | int
+    spec: LayerSpec,
+    label: str,
+    nonfinite: str,
+    max_pixels: str | int,
+    *,
+    placed: bool = True,
 ) -> Iterator[LayerReader]:
     """A reader of the layer's pixels, closed at the end of the block.
 
     `label` names it in errors. `nonfinite`: a policy on NaN and Inf, as in `Interpretation`.
-    `max_pixels`: how many it may claim. Errors: `SettingError`, `InputError`.
+    `max_pixels`: how many it may claim. `placed`: whether it matters where it lies.
+    Errors: `SettingError`, `InputError`.
     """
     with seekable(spec.path, label) as path:
         file = describe(path, label)
@@ -47,7 +58,8 @@ def opened_layer(
             file, part=spec.part, layer=spec.layer, mask=spec.tint is not None, label=label
         )
         _check_size(part, max_pixels, label)
-        reader = LayerReader(file, part, group, _interpretation(spec, nonfinite), label)
+        meant = _interpretation(spec, nonfinite, () if placed else ("at",))
+        reader = LayerReader(file, part, group, meant, label)
         with contextlib.closing(reader):
             yield reader
 

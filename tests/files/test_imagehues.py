@@ -83,7 +83,8 @@ def test_keys_of_a_layer_say_how_it_is_read(tmp_path):
     names = ["R", "G", "B", "A", "sky.R", "sky.G", "sky.B"]
     path = exrfile.write(tmp_path / "a.exr", exrfile.planes(names, 20, 30))
     histograms = []
-    for settings in ("", "::layer=sky", "::alpha=straight", "::colorspace=srgb"):
+    keys = ("part=0", "layer=sky", "part=0,alpha=straight", "part=0,colorspace=srgb")
+    for settings in (f"::{key}" for key in keys):
         layer = f"{path}{settings}"
         histograms.append(read_hues(layer))
         assert histograms[-1] == hue_histogram(hpcomp.read_layer(layer).pixels)
