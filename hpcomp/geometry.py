@@ -151,6 +151,20 @@ class Placement:
     x: int
     y: int
 
+    def __str__(self) -> str:
+        offset = f"{self.x:+d}{self.y:+d}" if self.gravity is None or self.x or self.y else ""
+        return (self.gravity or "") + offset
+
+    def turned_inwards(self) -> Placement:
+        """The same where its offsets lead away from the edges at which its gravity is.
+
+        Other programs, such as ImageMagick, count from these edges.
+        """
+        left, above = GRAVITIES[self.gravity] if self.gravity else (0.5, 0.5)
+        x = {0.0: abs(self.x), 1.0: -abs(self.x)}.get(left, self.x)
+        y = {0.0: abs(self.y), 1.0: -abs(self.y)}.get(above, self.y)
+        return Placement(self.gravity, x, y)
+
     def place(self, window: Window, reference: Window) -> Window:
         """`window` moved to its place; `reference` is what a gravity refers to."""
         if self.gravity is None:

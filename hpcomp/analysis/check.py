@@ -31,7 +31,7 @@ from ..imagefile.reading import STRIP_ROWS, LayerReader
 from ..imagefile.source import codec_threads
 from ..layers.budget import Budget, share_out
 from ..layers.layerspec import LayerSpec, check_stdin, layer_spec
-from ..layers.notices import Notices, warn_of_problems, warn_of_ramps, warn_of_zeroed
+from ..layers.notices import Notices, warn_of_problems, warn_of_ramps, warn_of_samples
 from ..layers.opening import opened_layer
 from ..layers.placing import Layer, PlacedLayer, layer_specs, opened_stack, rules_of
 from ..measures.labels import (
@@ -332,7 +332,7 @@ def check(
         below = () if stack is None else stack.layers
         gauge = _Gauge(rules, settings, labels, listed)
         sums = _measured(placed, below, gauge, checked.resources)
-        warn_of_zeroed([placed.reader, *(layer.reader for layer in below)], notices)
+        warn_of_samples([placed.reader, *(layer.reader for layer in below)], notices)
     crossing = tuple(ramps(sums.meetings, rules.hue_tolerance))
     warn_of_ramps(crossing, specs, rules.hue_tolerance, notices)
     result = CheckResult(

@@ -25,7 +25,7 @@ from ..imagefile.source import codec_threads
 from ..layers.budget import THREAD_BYTES, Budget, share_out
 from ..layers.canvas import output_window
 from ..layers.layerspec import LayerSpec
-from ..layers.notices import Notices, warn_of_zeroed
+from ..layers.notices import Notices, warn_of_samples
 from ..layers.placing import Layer, PlacedLayer, layer_specs, opened_stack, rules_of
 from ..measures.labels import (
     MeasureSettings,
@@ -214,7 +214,7 @@ def explain(
             )
         strips = _stored(stack.layers, x, y, rules, checked.resources)
         pixels = [_linear(strip) for strip in strips]
-        warn_of_zeroed([layer.reader for layer in stack.layers], notices)
+        warn_of_samples([layer.reader for layer in stack.layers], notices)
     trace = _Trace(rules, pixels)
     return PixelExplanation(
         x=x,

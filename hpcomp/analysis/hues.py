@@ -17,7 +17,7 @@ from ..imagefile.interpretation import check_nonfinite
 from ..imagefile.source import codec_threads
 from ..layers.budget import DECODING_BYTES, RGBA_BYTES, Budget, share_out
 from ..layers.layerspec import LayerSpec, check_stdin, layer_spec
-from ..layers.notices import Notices, warn_of_problems, warn_of_zeroed
+from ..layers.notices import Notices, warn_of_problems, warn_of_samples
 from ..layers.opening import opened_layer
 from ..layers.placing import Layer, PlacedLayer
 from ..measures.defaults import DEFAULT_ACHROMATIC, DEFAULT_BINS
@@ -126,7 +126,7 @@ def read_hues(
                 partial(_measured, total=none, counting=engine.active(), go_on=pipeline.go_on),
             ):
                 total += part
-        warn_of_zeroed([reader], notices)
+        warn_of_samples([reader], notices)
         log.info(
             "%s: %s, %s, alpha %s: %.3f s, %d threads",
             reader.label,

@@ -45,6 +45,14 @@ class Decoding:
     tint: tuple[float, float, float] | None = None
     working: Primaries = REC709
 
+    @property
+    def loses_light_without_alpha(self) -> bool:
+        """Whether colours are divided by their alpha, so that none is left where it is 0."""
+        return self.tint is None and (
+            self.alpha_mode == "premultiplied-encoded"
+            or (self.alpha_mode == "luminance" and not self.stored_straight)
+        )
+
     def is_plain(self, samples: Samples) -> bool:
         """Whether one table or nothing is between these samples and linear light, times alpha."""
         return (

@@ -23,6 +23,7 @@ from .omissions import omissions
 from .parts import ColorGroup, ImageFile, Part, choose, deep_alpha
 from .rawfile import RawFile
 from .seekable import temporary
+from .unseen import OutsideAlphas
 
 log = logging.getLogger("hpcomp")
 
@@ -85,6 +86,7 @@ class DeepReader:
         self.problems = interpretation.problems_of(part, self.label)
         self.omissions = interpretation.unanswered(omissions(file, part, group))
         self.decoding = interpretation.decoding_of(file, part)
+        self.alphas = OutsideAlphas()
         self._color, self._depth = _channel_names(part, group, self.label)
         raw = RawFile(file.path, file.identity, self.label)
         with contextlib.ExitStack() as failed:
@@ -153,6 +155,7 @@ class DeepReader:
                 # Kept all the same, and somewhere they have to be: behind all others.
                 front = np.where(np.isnan(front), np.float32(np.inf), front)
                 back = np.where(np.isnan(back), front, back)
+        self.alphas.add(stored[..., -1])
         rgba = decode(stored[None], self.decoding)[0]
         return DeepSamples(counts, front, back, rgba), left_out
 

@@ -14,6 +14,7 @@ from .interpretation import AS_STORED, Interpretation
 from .omissions import omissions
 from .parts import ColorGroup, ImageFile, Part
 from .source import source_of
+from .unseen import Unseen
 
 #: Rows that are read at a time where the caller does not say: whole compression blocks, few calls.
 STRIP_ROWS = 64
@@ -42,6 +43,7 @@ class LayerReader:
         self.zeroed_pixels = 0
         self.decoding = interpretation.decoding_of(file, part)
         channels = (*group.color, *([group.alpha] if group.alpha else []))
+        self.unseen = Unseen(self.decoding, self.window, "alpha" in interpretation.given)
         self._source = source_of(file, part, channels, self.label)
 
     @property
@@ -103,9 +105,10 @@ class LayerReader:
         Errors: `InputError`; `MismatchError` for a mask that is not grey.
         """
         samples = self._source.read(begin, end)
-        if self.decoding.tint is None or samples.shape[2] < 3:
-            return samples
-        return self._grey(samples, begin)
+        if self.decoding.tint is not None and samples.shape[2] >= 3:
+            samples = self._grey(samples, begin)
+        self.unseen.look(begin, samples)
+        return samples
 
     def _grey(self, samples: Samples, begin: int) -> Samples:
         """Y or YA of RGB or RGBA whose colours are grey: any channel, and NaN if one is."""

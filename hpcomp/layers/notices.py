@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from ..blending.rules import StackRules
 from ..color.quantization import LARGEST_HALF, Losses
 from ..errors import HpcompWarning, InputError, InputWarning, MismatchError, one_line
+from ..geometry import Placement, Window
 from ..imagefile.reading import LayerReader
 from ..measures.ramps import Ramp
 from .layerspec import LayerSpec
@@ -48,6 +49,36 @@ def warn_of_layers(rules: StackRules, readers: Sequence[LayerReader], notices: N
             )
 
 
+def warn_of_outside(
+    layers: Iterable[tuple[str, Window, Placement | None]],
+    canvas: Window,
+    made: Window,
+    notices: Notices,
+) -> None:
+    """Of layers of which no pixel is in the picture.
+
+    `layers`: what they are called, the windows of their pixels on the canvas, and where they were
+    to go. `made`: what of the canvas is made; all of it, or a region.
+    """
+    for label, window, placement in layers:
+        if window.intersection(made) is not None:
+            continue
+        if window.intersection(canvas) is None:
+            where = f"outside the canvas {canvas}: {_inside(placement)}"
+        else:
+            where = f"outside the region {made}: leave it out, or choose a region that it reaches"
+        notices.warn(f"{label} has its pixels at {window}, {where}")
+
+
+def _inside(placement: Placement | None) -> str:
+    """How to get a layer there that was to go there."""
+    if placement is None or placement.gravity is None:
+        return "place it with at=+X+Y, which counts from the origin of the canvas"
+    turned = placement.turned_inwards()
+    what = "offsets count to the right and downwards, whatever the gravity"
+    return what if turned == placement else f"{what}: did you mean at={turned}?"
+
+
 def warn_of_problems(reader: LayerReader | DeepReader, notices: Notices) -> None:
     for problem in reader.problems:
         notices.warn(f"{reader.label}: {problem}; read as {reader.decoding.encoding}", InputWarning)
@@ -55,8 +86,11 @@ def warn_of_problems(reader: LayerReader | DeepReader, notices: Notices) -> None
         notices.warn(f"{reader.label}: {omission}", InputWarning)
 
 
-def warn_of_zeroed(readers: Sequence[LayerReader], notices: Notices) -> None:
+def warn_of_samples(readers: Sequence[LayerReader], notices: Notices) -> None:
+    """Of what was not seen or not kept of the samples that were read."""
     for reader in readers:
+        for words in reader.unseen.in_words():
+            notices.warn(f"{reader.label}: {words}")
         if reader.zeroed_pixels:
             notices.warn(
                 f"{reader.label}: {_count(reader.zeroed_pixels)} NaN or infinite "

@@ -34,7 +34,7 @@ from ..imagefile.source import codec_threads
 from ..imagefile.writing import OutputForm
 from ..layers.canvas import LayerWindows, lay_out, output_window
 from ..layers.layerspec import LayerSpec, check_stdin
-from ..layers.notices import Notices, warn_of_losses, warn_of_problems
+from ..layers.notices import Notices, warn_of_losses, warn_of_outside, warn_of_problems
 from ..layers.opening import opened_deep_layer
 from ..layers.placing import Layer, layer_specs
 from ..options import OPTIONS, ResourceOptions, StackOptions, takes_options
@@ -179,6 +179,15 @@ def _planned(request: PictureRequest, opened: contextlib.ExitStack) -> Flattenin
     _prepare(readers, rules, notices)
     images, canvas = _placed(request.specs, readers, options.canvas.canvas)
     window = output_window(canvas, [image.window for image in images], options.canvas, max_pixels)
+    warn_of_outside(
+        (
+            (image.reader.label, image.window, spec.placement)
+            for spec, image in zip(request.specs, images, strict=True)
+        ),
+        canvas,
+        window,
+        notices,
+    )
     threads, strips = _strips(images, window, rules, request.form, options.resources)
     opened.enter_context(codec_threads([request.form], reading=1, writing=threads))
     return FlatteningPlan(
@@ -221,6 +230,9 @@ def _made(plan: FlatteningPlan) -> StackResult:
     for what, seconds in {**work.seconds, "writing": pipeline.seconds["writing"]}.items():
         log.info("%s: %.3f s of all threads together", what, seconds)
     for image, left_out in zip(plan.images, work.left_out, strict=True):
+        held = image.reader.alphas.in_words("sample")
+        if held:
+            plan.notices.warn(f"{image.reader.label}: {held}")
         if left_out:
             samples_are = "1 sample is" if left_out == 1 else f"{left_out} samples are"
             plan.notices.warn(f"{image.reader.label}: {samples_are} NaN or infinite, and left out")

@@ -20,7 +20,7 @@ from ..imagefile.reading import STRIP_ROWS, LayerImage
 from ..imagefile.seekable import seekable
 from ..imagefile.writing import OutputForm, format_of_output, open_writer
 from ..layers.layerspec import layer_spec
-from ..layers.notices import Notices, warn_of_losses, warn_of_problems, warn_of_zeroed
+from ..layers.notices import Notices, warn_of_losses, warn_of_problems, warn_of_samples
 from ..layers.opening import opened_layer
 from ..options import OutputOptions, ResourceOptions, RuleOptions
 from ..system.outputs import whole_output
@@ -69,7 +69,7 @@ def read_layer(
             top, bottom = rows.y - window.y, rows.bottom - window.y
             pixels[top:bottom] = reader.read_rows(rows.y, rows.bottom)
         warn_of_problems(reader, notices)
-        warn_of_zeroed([reader], notices)
+        warn_of_samples([reader], notices)
         return LayerImage(pixels, window, reader.part.display_window)
 
 

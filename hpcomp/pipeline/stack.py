@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Unpack
 from ..engine import choice as engine
 from ..imagefile.source import codec_threads
 from ..layers.canvas import output_window
-from ..layers.notices import Notices, warn_of_losses, warn_of_zeroed
+from ..layers.notices import Notices, warn_of_losses, warn_of_outside, warn_of_samples
 from ..layers.placing import Layer, layer_specs, opened_stack, rules_of
 from ..options import OPTIONS, StackOptions, takes_options
 from .budget import share_out
@@ -100,7 +100,17 @@ def _planned(
         options.canvas,
         options.resources.max_pixels,
     )
+    warn_of_outside(
+        (
+            (layer.reader.label, layer.window, spec.placement)
+            for spec, layer in zip(request.specs, stacked.layers, strict=True)
+        ),
+        stacked.canvas,
+        window,
+        notices,
+    )
     readers = [layer.reader for layer in stacked.layers]
+    readers[0].unseen.alone = len(readers) == 1 and stacked.rules.background is None
     threads, strip_rows = share_out(
         readers,
         window,
@@ -139,6 +149,6 @@ def _made(plan: StackPlan, observer: Observer) -> StackResult:
         with plan.writer() as writer:
             losses = composite_strips(plan, writer, observer)
         observer.publish()
-    warn_of_zeroed([layer.reader for layer in plan.layers], plan.notices)
+    warn_of_samples([layer.reader for layer in plan.layers], plan.notices)
     warn_of_losses(request.shown, losses, plan.notices)
     return StackResult(request.output, plan.canvas, plan.window, losses, observer.summary)

@@ -97,6 +97,7 @@ def test_a_canvas_of_more_is_refused_and_a_region_of_it_is_not(desk, options, wo
     assert desk.run(*arguments, "--region", "20x10+0+0").code == 0
 
 
+@pytest.mark.filterwarnings("ignore:.*colours under an alpha of 0")
 def test_python_has_it_too(desk):
     path = str(desk / "a.png")
     for call in (

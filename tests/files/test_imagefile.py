@@ -621,6 +621,7 @@ def test_exr_of_mixed_types(exr, tile):
     assert np.array_equal(found, exrfile.layer(channels).astype(np.float32))
 
 
+@pytest.mark.filterwarnings("ignore:.*alpha outside 0 to 1")
 def test_exr_alpha_is_held_to_0_and_1_and_colour_is_not(exr):
     channels = {
         name: np.array([values], np.float32)

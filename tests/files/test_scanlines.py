@@ -663,8 +663,8 @@ class TestPng:
     def test_a_part_of_the_canvas(self, tmp_path):
         desk = Desk.made(tmp_path)
         put(desk / "a.png", pngfile.random_png(pngfile.RGBA, 8, width=40, height=90))
-        desk.makes("stack", "a.png", "-o", "whole.png")
-        desk.makes("stack", "a.png", "--region", "11x30+5+41", "-o", "part.png")
+        desk.makes("stack", "a.png::alpha=straight", "-o", "whole.png")
+        desk.makes("stack", "a.png::alpha=straight", "--region", "11x30+5+41", "-o", "part.png")
         whole, part = (pngfile.decode((desk / n).read_bytes()) for n in ("whole.png", "part.png"))
         assert np.array_equal(part, whole[41:71, 5:16])
 
@@ -1018,8 +1018,8 @@ class TestWrittenExr:
         """A pipe has no table to go back to: the file is made elsewhere first."""
         desk = Desk.made(tmp_path)
         put(desk / "a.png", pngfile.random_png(pngfile.RGBA, 8))
-        desk.makes("stack", "a.png", "-o", "out.exr")
-        run = desk.makes("stack", "a.png", "-o", "-", "--format", "exr")
+        desk.makes("stack", "a.png::alpha=straight", "-o", "out.exr")
+        run = desk.makes("stack", "a.png::alpha=straight", "-o", "-", "--format", "exr")
         assert run.stdout == (desk / "out.exr").read_bytes()
 
 

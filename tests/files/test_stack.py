@@ -736,6 +736,7 @@ def test_resolution_of_a_png(tmp_path, density):
     assert header["pixelAspectRatio"] == pytest.approx(density[1] / density[0], rel=1e-4)
 
 
+@pytest.mark.filterwarnings("ignore:.*colours under an alpha of 0")
 def test_no_resolution_where_there_was_none(tmp_path):
     (tmp_path / "a.png").write_bytes(pngfile.random_png(pngfile.RGBA, 8).encode())
     hpcomp.stack([tmp_path / "a.png"], tmp_path / "out.png")
