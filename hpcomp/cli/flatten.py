@@ -34,7 +34,7 @@ has the channels Z and A, and ZBack if it has volumes; samples without a colour 
 \b
   hpcomp flatten smoke.exr -o smoke.png
   hpcomp flatten smoke.exr bones.exr --order top-down -o both.exr
-  hpcomp flatten 'smoke.exr::layer=glow' --background '#000000' -o glow.png
+  hpcomp flatten 'shot.exr::layer=glow' --background '#000000' -o glow.png
   cat smoke.exr | hpcomp flatten - -o - --format png > smoke.png
 """
 

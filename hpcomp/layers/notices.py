@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Protocol
 
 from ..blending.rules import StackRules
 from ..color.quantization import LARGEST_HALF, Losses
@@ -49,18 +49,28 @@ def warn_of_layers(rules: StackRules, readers: Sequence[LayerReader], notices: N
             )
 
 
+class Placed(Protocol):
+    """A layer, flat or deep, where it lies: `window` is that of its pixels on the canvas."""
+
+    @property
+    def reader(self) -> LayerReader | DeepReader: ...
+    @property
+    def window(self) -> Window: ...
+
+
 def warn_of_outside(
-    layers: Iterable[tuple[str, Window, Placement | None]],
+    placements: Sequence[Placement | None],
+    layers: Sequence[Placed],
     canvas: Window,
     made: Window,
     notices: Notices,
 ) -> None:
     """Of layers of which no pixel is in the picture.
 
-    `layers`: what they are called, the windows of their pixels on the canvas, and where they were
-    to go. `made`: what of the canvas is made; all of it, or a region.
+    `placements`: where each was to go. `made`: what of the canvas is made; all, or a region.
     """
-    for label, window, placement in layers:
+    for placement, layer in zip(placements, layers, strict=True):
+        window, label = layer.window, layer.reader.label
         if window.intersection(made) is not None:
             continue
         if window.intersection(canvas) is None:

@@ -179,15 +179,8 @@ def _planned(request: PictureRequest, opened: contextlib.ExitStack) -> Flattenin
     _prepare(readers, rules, notices)
     images, canvas = _placed(request.specs, readers, options.canvas.canvas)
     window = output_window(canvas, [image.window for image in images], options.canvas, max_pixels)
-    warn_of_outside(
-        (
-            (image.reader.label, image.window, spec.placement)
-            for spec, image in zip(request.specs, images, strict=True)
-        ),
-        canvas,
-        window,
-        notices,
-    )
+    places = [spec.placement for spec in request.specs]
+    warn_of_outside(places, images, canvas, window, notices)
     threads, strips = _strips(images, window, rules, request.form, options.resources)
     opened.enter_context(codec_threads([request.form], reading=1, writing=threads))
     return FlatteningPlan(

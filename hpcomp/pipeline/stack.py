@@ -93,22 +93,10 @@ def _planned(
     stacked = opened.enter_context(
         opened_stack(request.specs, request.rules, request.options, notices)
     )
-    options = request.options
-    window = output_window(
-        stacked.canvas,
-        [layer.window for layer in stacked.layers],
-        options.canvas,
-        options.resources.max_pixels,
-    )
-    warn_of_outside(
-        (
-            (layer.reader.label, layer.window, spec.placement)
-            for spec, layer in zip(request.specs, stacked.layers, strict=True)
-        ),
-        stacked.canvas,
-        window,
-        notices,
-    )
+    asked, windows = request.options, [layer.window for layer in stacked.layers]
+    window = output_window(stacked.canvas, windows, asked.canvas, asked.resources.max_pixels)
+    places = [spec.placement for spec in request.specs]
+    warn_of_outside(places, stacked.layers, stacked.canvas, window, notices)
     readers = [layer.reader for layer in stacked.layers]
     readers[0].unseen.alone = len(readers) == 1 and stacked.rules.background is None
     threads, strip_rows = share_out(

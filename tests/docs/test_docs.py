@@ -515,7 +515,8 @@ def workplace(tmp_path, monkeypatch):
     exrfile.write(tmp_path / "render.exr", exrfile.planes(channels, SIZE[1], SIZE[0]))
     smoke, bones = (deepfile.noise(SIZE[1], SIZE[0], tidy=False, seed=seed) for seed in (1, 2))
     glow = {f"glow.{name}": smoke.planes[name] for name in "RGB"}
-    deepfile.write(tmp_path / "smoke.exr", deepfile.Deep(smoke.counts, {**smoke.planes, **glow}))
+    deepfile.write(tmp_path / "smoke.exr", smoke)
+    deepfile.write(tmp_path / "shot.exr", deepfile.Deep(smoke.counts, {**smoke.planes, **glow}))
     deepfile.write(tmp_path / "bones.exr", bones)
     return tmp_path
 
