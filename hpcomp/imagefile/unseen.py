@@ -20,6 +20,8 @@ _ROUNDING = 2.0**-10
 _BITS = {2: (np.uint16, 0x3C01), 4: (np.uint32, 0x3F802000)}
 #: A mask of integers whose largest is less than this share of white is hardly one of coverage.
 _FAINT = 0.1
+#: Pixels that are looked at together, so that it takes next to no memory.
+_PIXELS = 1 << 16
 
 
 class OutsideAlphas:
@@ -88,8 +90,9 @@ class Unseen:
         if not len(samples):
             return
         self._next_row = begin + seen + len(samples)
-        with np.errstate(invalid="ignore"):
-            self._look(samples)
+        at_once = max(1, _PIXELS // samples.shape[1])
+        for first in range(0, len(samples), at_once):
+            self._look(samples[first : first + at_once])
 
     def _look(self, samples: Samples) -> None:
         decoding, channels = self._decoding, samples.shape[2]
@@ -101,9 +104,10 @@ class Unseen:
             self._largest = max(self._largest, int(color.max()))
         if decoding.tint is not None and decoding.alpha_mode != "luminance":
             self.alphas.add(samples[..., 0])
+        elif alpha is not None:
+            self.alphas.add(alpha)
         if alpha is None:
             return
-        self.alphas.add(alpha)
         if decoding.loses_light_without_alpha:
             self._hidden_light += int(np.count_nonzero(color[alpha == 0].any(axis=-1)))
         elif self._may_hide and (self.alone or not self._visible):

@@ -67,7 +67,8 @@ def warn_of_outside(
 ) -> None:
     """Of layers of which no pixel is in the picture.
 
-    `placements`: where each was to go. `made`: what of the canvas is made; all, or a region.
+    `placements`: where each was to go. `made`: what of the canvas is made; all, or a region. What
+    lies outside a region where its own file puts it is no surprise: sequences and tiles are so.
     """
     for placement, layer in zip(placements, layers, strict=True):
         window, label = layer.window, layer.reader.label
@@ -75,6 +76,8 @@ def warn_of_outside(
             continue
         if window.intersection(canvas) is None:
             where = f"outside the canvas {canvas}: {_inside(placement)}"
+        elif placement is None:
+            continue
         else:
             where = f"outside the region {made}: leave it out, or choose a region that it reaches"
         notices.warn(f"{label} has its pixels at {window}, {where}")

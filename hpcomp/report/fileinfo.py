@@ -27,13 +27,22 @@ def as_data(file: ImageFile) -> dict[str, Any]:
         if part.refusal:
             raise InputError(f"{file.path}: {part.refusal}")
         data["read_as"] = {"part": part.index, "layer": group.layer}
-        notes = [omission.text for omission in omissions(file, part, group)]
-        notes.append(part.excess(parse_pixels(MAX_PIXELS)))
-        data["warnings"] = list(filter(None, notes))
     except InputError as problem:
-        data["read_as"], data["problem"], data["warnings"] = None, str(problem), []
+        data["read_as"], data["problem"] = None, str(problem)
+    data["warnings"] = _warnings(file)
     data["parts"] = [_part_data(file, part) for part in file.parts]
     return data
+
+
+def _warnings(file: ImageFile) -> list[str]:
+    """What `stack` says of its default layer, or `flatten` where it is deep."""
+    notes = [part.excess(parse_pixels(MAX_PIXELS)) for part in file.parts]
+    try:
+        chosen = choose(file, deep=all(part.deep for part in file.parts))
+        notes += [omission.text for omission in omissions(file, *chosen)]
+    except InputError:
+        pass  # nothing is read of it, so nothing is left out
+    return [note for note in dict.fromkeys(notes) if note]
 
 
 def _part_data(file: ImageFile, part: Part) -> dict[str, Any]:

@@ -164,6 +164,7 @@ def test_flat_and_deep_parts_of_one_file(tmp_path):
     words = "layers.exr: the layer without a name is read, and not layer glow: choose"
     assert (run.code, run.stderr.count("\n")) == (0, 1)
     assert words in run.stderr
+    assert words.removeprefix("layers.exr: ") in desk.run("info", "layers.exr").stdout.decode()
     assert desk.run("flatten", "layers.exr::part=0", "-o", "out.exr", "--strict").code == 0
     run = desk.run("flatten", "layers.exr", "-o", "out.exr", "--strict")
     assert run.code == 3

@@ -314,6 +314,7 @@ def two_windows(folder):
     ], [low, high]
 
 
+@pytest.mark.filterwarnings("ignore:.*outside the canvas")
 @pytest.mark.parametrize(
     ("canvas", "window"),
     [
@@ -349,6 +350,7 @@ def test_canvas_as_a_window_object(tmp_path):
     assert_near(exr_pixels(tmp_path / "out.exr"), expected(layers, (2, 1, 5, 4)), FLOAT32)
 
 
+@pytest.mark.filterwarnings("ignore:.*outside the canvas")
 @pytest.mark.parametrize(
     "origin",
     [(0, 0), (-4, -3), (3, 2), (2, 1), (9, 7), (-6, 0), (0, -5), (10, 8), (-30, 0), (0, 400)],
@@ -369,6 +371,7 @@ def test_data_window_anywhere(tmp_path, origin, size):
     assert_near(light, expected([base, high], canvas), FLOAT32)
 
 
+@pytest.mark.filterwarnings("ignore:.*outside the canvas")
 @pytest.mark.parametrize("at", ["+0+0", "+3+2", "-2-1", "+9+7", "+50+0", "-50-50"])
 def test_place_of_a_layer(tmp_path, at):
     """`at` is where its display window goes; its data window goes with it."""

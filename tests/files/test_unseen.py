@@ -210,7 +210,9 @@ def test_a_part_of_a_mask_shows_nothing_of_the_rest(desk):
 def placed(desk):
     desk.put("base.png", pngfile.bands((90, 90, 90), size=(40, 30)))
     desk.put("logo.png", pngfile.bands((200, 0, 0), size=(10, 8)))
-    exrfile.write(desk / "far.exr", exrfile.planes("RGBA", 4, 4), origin=(100, 5), display=(0, 0, 40, 30))
+    for name, left in (("far", 100), ("near", 30)):
+        planes = exrfile.planes("RGBA", 4, 4)
+        exrfile.write(desk / f"{name}.exr", planes, origin=(left, 20), display=(0, 0, 40, 30))
     return desk
 
 
@@ -223,7 +225,7 @@ def placed(desk):
         ("logo.png::at=south+3+9", [], "did you mean at=south+3-9?"),
         ("logo.png::at=center+90+0", [], "count to the right and downwards, whatever the gravity"),
         ("logo.png::at=+40+0", [], "place it with at=+X+Y, which counts from the origin"),
-        ("far.exr", [], "4x4+100+5, outside the canvas 40x30+0+0: place it with at=+X+Y"),
+        ("far.exr", [], "4x4+100+20, outside the canvas 40x30+0+0: place it with at=+X+Y"),
         ("logo.png::at=+20+10", ["--region", "5x5+0+0"], "10x8+20+10, outside the region 5x5+0+0"),
     ],
     ids=lambda value: value if isinstance(value, str) and "::" in value else "",
@@ -235,6 +237,13 @@ def test_a_layer_of_which_nothing_is_seen(placed, layer, options, words):
     assert "layer 1 (" in run.stderr
     assert words in run.stderr
     assert placed.run(*arguments, "--strict").code == 4
+
+
+def test_where_its_file_puts_a_layer_is_no_surprise_in_a_region(placed):
+    """Tiles and sequences have such layers in every region."""
+    placed.makes(
+        "stack", "base.png", "near.exr", "-o", "out.exr", "--region", "5x5+0+0", "--strict"
+    )
 
 
 def test_what_is_seen_in_part_is_as_it_was_placed(placed):
