@@ -80,22 +80,6 @@ def _between(left: int, top: int, right: int, bottom: int) -> Window:
 #: How far from the origin a window may be: pictures are counted in 32-bit numbers.
 FARTHEST = 2**28
 
-#: How many pixels a picture may claim where nobody says otherwise: whatever a file of a few
-#: megabytes says of itself, no run is to be busy with it for long.
-MAX_PIXELS = "2G"
-
-_PIXELS = re.compile(r"(\d+(?:\.\d+)?)([KMGT]?)", re.IGNORECASE | re.ASCII)
-
-
-def parse_pixels(text: str | int) -> int:
-    """A number of pixels from `500M`, `1.5G` or a plain number; powers of 1000."""
-    match = _PIXELS.fullmatch(str(text))
-    if not match:
-        raise SettingError(f"'{text}' is not a number of pixels: write 500M or 4G")
-    number, unit = match.groups()
-    return int(float(number) * 1000 ** " KMGT".index(unit.upper() or " "))
-
-
 _WINDOW = re.compile(r"(\d{1,99})x(\d{1,99})([+-]\d{1,99})([+-]\d{1,99})", re.ASCII)
 
 

@@ -36,7 +36,7 @@ from .color.primaries import (
 )
 from .color.spaces import BUILDERS, DEFAULT_SPACE
 from .errors import SettingError, nearest, nearest_name, unknown_name
-from .geometry import MAX_PIXELS, Window, parse_canvas, parse_pixels, parse_window
+from .geometry import Window, parse_canvas, parse_window
 from .imagefile.forms import COMPRESSIONS, DEPTHS, FORMATS, NONFINITE_POLICIES
 from .measures.defaults import (
     DEFAULT_ACHROMATIC,
@@ -49,7 +49,7 @@ from .measures.defaults import (
     check_provenance,
     check_report,
 )
-from .system.memory import parse_bytes
+from .system.memory import MAX_PIXELS, parse_bytes, parse_pixels
 from .system.threads import check_threads
 
 Path = str | os.PathLike[str]

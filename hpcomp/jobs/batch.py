@@ -14,10 +14,9 @@ from graphlib import CycleError, TopologicalSorter
 from typing import Any, BinaryIO
 
 from ..errors import ExitCode, InputError, SettingError
-from ..geometry import parse_pixels
 from ..options import OutputOptions, ResourceOptions
 from ..system.depfile import Depfile
-from ..system.memory import parse_bytes
+from ..system.memory import parse_bytes, parse_pixels
 from ..system.outputs import check_places, remove_abandoned, writing
 from ..system.streams import STDIN, STDOUT, stdout_bytes
 from .doing import maker

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 from functools import reduce
 
 from ..errors import MismatchError
-from ..geometry import Placement, Window, parse_pixels
+from ..geometry import Placement, Window
 from ..options import CanvasOptions
+from ..system.memory import parse_pixels
 
 
 @dataclass(frozen=True)

@@ -8,12 +8,12 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from ..errors import InputError
-from ..geometry import parse_pixels
 from ..imagefile.description import describe
 from ..imagefile.interpretation import Interpretation
 from ..imagefile.parts import Part, choose
 from ..imagefile.reading import LayerReader
 from ..imagefile.seekable import seekable
+from ..system.memory import parse_pixels
 from .layerspec import LAYER_KEYS, LayerSpec
 
 if TYPE_CHECKING:

@@ -28,7 +28,7 @@ from ..color.samples import Samples
 from ..engine import choice as engine
 from ..engine.deepcompositing import bytes_to_reduce, flat
 from ..errors import InputError, SettingError
-from ..geometry import Window, parse_pixels
+from ..geometry import Window
 from ..imagefile.deepreading import DeepReader
 from ..imagefile.source import codec_threads
 from ..imagefile.writing import OutputForm
@@ -38,7 +38,7 @@ from ..layers.notices import Notices, warn_of_losses, warn_of_outside, warn_of_p
 from ..layers.opening import opened_deep_layer
 from ..layers.placing import Layer, layer_specs
 from ..options import OPTIONS, ResourceOptions, StackOptions, takes_options
-from ..system.memory import parse_bytes
+from ..system.memory import parse_bytes, parse_pixels
 from ..system.threads import ThreadPipeline, thread_count
 from .deepbudget import Need
 from .picture import PicturePlan, PictureRequest, StackResult

@@ -5,10 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 from ..errors import InputError, printable
-from ..geometry import MAX_PIXELS, Window, parse_pixels
+from ..geometry import Window
 from ..imagefile.header import METRES_PER_INCH
 from ..imagefile.omissions import omissions
 from ..imagefile.parts import Channel, ColorGroup, ImageFile, Part, choose
+from ..system.memory import MAX_PIXELS, parse_pixels
 
 #: Version of the data that `as_data` gives; it grows when a key changes its meaning or goes.
 SCHEMA_VERSION = 2

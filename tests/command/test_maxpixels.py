@@ -162,7 +162,7 @@ def test_info_describes_it_and_says_so(desk):
     ("text", "number"), [("500M", 500_000_000), ("1.5g", 1_500_000_000), (7, 7), ("0.2K", 200)]
 )
 def test_numbers_of_pixels_are_in_thousands(text, number):
-    from hpcomp.geometry import parse_pixels
+    from hpcomp.system.memory import parse_pixels
 
     assert parse_pixels(text) == number
 
