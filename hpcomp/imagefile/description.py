@@ -39,8 +39,8 @@ def _png_parts(path: str, label: str) -> Iterator[Part]:
         raise InputError(f"{label}: {problem}") from None
     layout = pngscanlines.layout_of(header)
     if layout is None:
-        for spec in _specs(path, label):
-            yield _png_part(header, None, _channels(spec), _window(spec))
+        (spec,) = _specs(path, label)
+        yield _png_part(header, None, _channels(spec), _window(spec))
     else:
         names = "YA" if layout.channels < 3 else "RGBA"
         channels = tuple(
@@ -52,28 +52,31 @@ def _png_parts(path: str, label: str) -> Iterator[Part]:
 
 def _exr_parts(path: str, label: str) -> Iterator[Part]:
     layout = exrscanlines.layout_of(path)
-    number = 0
     try:
-        for number, spec in enumerate(_specs(path, label)):
-            yield _exr_part(spec, number, layout)
+        specs = list(_specs(path, label))
     except InputError:
-        parts = exrheader.subsampled_parts(path)
-        if not parts or number:
+        parts = exrheader.unread_parts(path)
+        if not any(part.is_subsampled for part in parts):
             raise
         yield from parts
+        return
+    unread = exrheader.unread_parts(path) if None in specs else []
+    for number, spec in enumerate(specs):
+        if spec is not None:
+            yield _exr_part(spec, number, layout)
+        elif number < len(unread):
+            yield unread[number]
 
 
 def _specs(path: str, label: str) -> Iterator[Any]:
-    """OpenImageIO's description of each picture in the file."""
+    """OpenImageIO's description of each picture in the file; None for one that it cannot read."""
     from .openimageio import error_text, open_input
 
     reader = open_input(path, label)
-    number = 0
     try:
-        while reader.seek_subimage(number, 0):
-            yield reader.spec()
-            number += 1
-        error_text(reader)  # the seek beyond the last part is no error
+        for number in range(max(1, reader.spec().get_int_attribute("oiio:subimages", 1))):
+            yield reader.spec() if reader.seek_subimage(number, 0) else None
+        error_text(reader)  # what cannot be read is spoken of elsewhere
     finally:
         reader.close()
 

@@ -1,7 +1,7 @@
-"""What the header of an EXR says of its colours, and what it says where OpenImageIO refuses it.
+"""What the header of an EXR says of its colours, and of parts that OpenImageIO refuses.
 
-Files with subsampled channels are described so that `info` can say what they are; none of their
-colours can be read.
+These are described, those with subsampled channels above all, so that `info` can say what they are;
+none of their colours can be read.
 """
 
 from __future__ import annotations
@@ -39,16 +39,14 @@ def color_of(interop_id: str, chromaticities: Sequence[float] | None) -> FileCol
     return FileColor(LINEAR_REC709, DEFAULT, DEFAULT, tuple(problems))
 
 
-def subsampled_parts(path: str) -> tuple[Part, ...]:
-    """The parts of an EXR with subsampled channels, without a colour; none of any other file."""
+def unread_parts(path: str) -> list[Part]:
+    """All parts of an EXR as parts of which nothing is read; none where its header is damaged."""
     try:
         with open(path, "rb") as file:
             headers, _, _ = headers_of(file.read(_HEADER_BYTES))
-        parts = tuple(_part(header, number) for number, header in enumerate(headers))
+        return [_part(header, number) for number, header in enumerate(headers)]
     except (OSError, ValueError, KeyError, IndexError, struct.error):
-        return ()  # whatever is wrong, OpenImageIO says it
-    sampled = any(channel.sampling != (1, 1) for part in parts for channel in part.channels)
-    return parts if sampled else ()
+        return []  # whatever is wrong, OpenImageIO says it
 
 
 def _part(header: Mapping[bytes, bytes], number: int) -> Part:
@@ -78,4 +76,5 @@ def _part(header: Mapping[bytes, bytes], number: int) -> Part:
         icc_profile="",
         omissions=(),
         layout=None,
+        unread=True,
     )

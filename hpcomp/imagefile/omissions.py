@@ -81,6 +81,7 @@ def omissions(file: ImageFile, part: Part, group: ColorGroup) -> tuple[Omission,
         *_alphas_left_out(file, part, group),
         *_colors_left_out(file, part, group),
         *_pictures_left_out(file, part, group),
+        *_parts_left_out(file),
     )
 
 
@@ -154,6 +155,14 @@ def _pictures_left_out(file: ImageFile, part: Part, group: ColorGroup) -> Iterat
             f"part={part.index} where this is meant",
             ("part", "layer"),
         )
+
+
+def _parts_left_out(file: ImageFile) -> Iterator[Omission]:
+    """Parts that cannot be read at all."""
+    for part in file.parts:
+        if part.unread:
+            why = "its channels are subsampled" if part.is_subsampled else "it is damaged"
+            yield Omission(f"part {_name(part)} cannot be read, {why}", ("part",))
 
 
 def _pictures_of(part: Part) -> Iterable[ColorGroup]:

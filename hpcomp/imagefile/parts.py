@@ -57,6 +57,7 @@ class Part:
     """One picture of a file, and how it will be read; with a `layout`, without OpenImageIO.
 
     `icc_profile`: its name, honoured or not, or empty. `omissions`: what of it is not read.
+    `unread`: nothing of it is, and it has no `groups`.
     """
 
     index: int
@@ -76,6 +77,7 @@ class Part:
     icc_profile: str
     omissions: tuple[Omission, ...]
     layout: ExrLayout | PngLayout | None = field(repr=False)
+    unread: bool = False
 
     @property
     def encoding(self) -> ColorEncoding:
@@ -86,6 +88,11 @@ class Part:
     def problems(self) -> tuple[str, ...]:
         """What it says of its colours and is not honoured."""
         return tuple(f"{problem} is not honoured" for problem in self.color.problems)
+
+    @property
+    def is_subsampled(self) -> bool:
+        """Whether some of its channels have one value for several pixels; none of it is read."""
+        return any(channel.sampling != (1, 1) for channel in self.channels)
 
     @property
     def refusal(self) -> str:
@@ -214,7 +221,7 @@ def choose(
             f"{label} is a deep EXR, with many samples a pixel: flatten it with hpcomp flatten"
         )
     subsampled = [c.name for p in flat for c in p.channels if c.sampling != (1, 1)]
-    if subsampled:
+    if subsampled and not any(p.groups for p in flat):
         raise InputError(
             f"{label}: its channels {', '.join(subsampled)} are subsampled (luminance/chroma), "
             "which is not read: store it as RGB, such as with ImageMagick: magick IN.exr OUT.exr"

@@ -150,6 +150,25 @@ def test_colours_that_are_spread_over_parts_are_said_to_be(tmp_path):
         hpcomp.read_layer(exr(tmp_path, "RG", "B"))
 
 
+def test_a_part_that_cannot_be_read_is_not_passed_over(tmp_path):
+    """OpenImageIO ends with the part before, as if the file had no more."""
+    path = exr(tmp_path, "RGBA", ["Y", "RY", "BY"], "Z", sizes=[(8, 8)] * 3)
+    data = bytearray(path.read_bytes())
+    for name in (b"\0RY\0", b"BY\0"):
+        place = data.index(name) + len(name) + 8
+        assert struct.unpack_from("<ii", data, place) == (1, 1)
+        struct.pack_into("<ii", data, place, 2, 2)
+    path.write_bytes(data)
+    said = said_of(path)
+    words = "part 1 (p1) cannot be read, its channels are subsampled"
+    assert [line.partition(": ")[2] for line in said] == [words]
+    assert said_of(path, part=0) == []
+    assert said_of(path, part=2, tint="red") == []
+    assert [part.name for part in hpcomp.info(path).parts] == ["p0", "p1", "p2"]
+    with pytest.raises(InputError, match="its channels BY, RY are subsampled"):
+        hpcomp.read_layer(path, part=1)
+
+
 def test_flat_and_deep_parts_of_one_file(tmp_path):
     """Each command reads its own, and says that the others are there."""
     deep = deepfile.noise(5, 4, 3)
