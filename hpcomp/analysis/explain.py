@@ -25,7 +25,7 @@ from ..imagefile.source import codec_threads
 from ..layers.budget import THREAD_BYTES, Budget, share_out
 from ..layers.canvas import output_window
 from ..layers.layerspec import LayerSpec
-from ..layers.notices import Notices, warn_of_samples
+from ..layers.notices import Notices, warn_of_outside, warn_of_samples
 from ..layers.placing import Layer, PlacedLayer, layer_specs, opened_stack, rules_of
 from ..measures.labels import (
     MeasureSettings,
@@ -208,6 +208,8 @@ def explain(
         window = output_window(
             stack.canvas, [layer.window for layer in stack.layers], checked.canvas
         )
+        places = [spec.placement for spec in specs]
+        warn_of_outside(places, stack.layers, stack.canvas, stack.canvas, notices)
         if not window.contains(Window(x, y, 1, 1)):
             raise MismatchError(
                 f"pixel {x},{y} is outside the canvas {window}: choose one within it"

@@ -18,6 +18,8 @@ _ROUNDING = 2.0**-10
 #: The bits of 1 and that much, as unsigned numbers: of all floats that are greater, negative ones
 #: and NaN among them, no other is looked at.
 _BITS = {2: (np.uint16, 0x3C01), 4: (np.uint32, 0x3F802000)}
+#: A filter with negative lobes goes no further beyond 0 and 1.
+_OVERSHOOT = 0.25
 #: A mask of integers whose largest is less than this share of white is hardly one of coverage.
 _FAINT = 0.1
 #: Pixels that are looked at together, so that it takes next to no memory.
@@ -50,16 +52,18 @@ class OutsideAlphas:
             self._least = min(self._least, float(outside.min()))
             self._most = max(self._most, float(outside.max()))
 
-    def in_words(self, what: str, has: str = "an alpha") -> str:
-        """What to say of so many pixels or samples, `what` being one of them; empty for none."""
+    def in_words(self, one: str, value: str = "an alpha") -> str:
+        """What to say of them; empty for none. `one`: what has such a value, such as "pixel"."""
         if not self.count:
             return ""
-        have = f"1 {what} has" if self.count == 1 else f"{self.count} {what}s have"
+        have = f"1 {one} has" if self.count == 1 else f"{self.count} {one}s have"
         extent = f"{self._least:.6g} to {self._most:.6g}"
-        return (
-            f"{have} {has} outside 0 to 1, from {extent}, which is held to 0 and 1: divide it "
-            "first if it has another scale"
+        what_next = (
+            "filters that sharpen leave such values, which box and triangle do not"
+            if self._least > -_OVERSHOOT and self._most < 1 + _OVERSHOOT
+            else "divide it first if it has another scale"
         )
+        return f"{have} {value} outside 0 to 1, from {extent}, held to 0 and 1: {what_next}"
 
 
 class Unseen:

@@ -292,7 +292,8 @@ def test_5_multilayer(kitchen):
     assert hpcomp.read_hues("labels.exr").occupied == 1
     scaling = steps(5)[-1][2].partition("hpcomp")[0]
     quietly(sh(scaling.replace(":filter=triangle", "")))
-    assert hpcomp.read_hues("labels.exr").occupied > 1
+    with pytest.warns(hpcomp.HpcompWarning, match="filters that sharpen leave such values"):
+        assert hpcomp.read_hues("labels.exr").occupied > 1
 
 
 def test_6_hundreds(kitchen):

@@ -31,7 +31,7 @@ def tinted(path, **options):
     """The pixels of a mask in that colour, read without a warning but of values beyond 0 and 1."""
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        warnings.filterwarnings("ignore", ".*have a value outside 0 to 1, from -1 to 3, which")
+        warnings.filterwarnings("ignore", ".*have a value outside 0 to 1, from -1 to 3, held")
         return hpcomp.read_layer(path, tint=TINT, **options).pixels
 
 

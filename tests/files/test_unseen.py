@@ -55,10 +55,11 @@ HALF_STEP = 2.0**-10
     [
         ([0, 0.5, 1], None),
         ([-0.0, 1 + HALF_STEP, 0.25], None),
-        ([0, 2, 1], "1 pixel has an alpha outside 0 to 1, from 0 to 2, which is held to 0 and 1"),
-        ([-0.5, 0.25, 1], "1 pixel has an alpha outside 0 to 1, from -0.5 to 1, which is held"),
-        ([-0.25, 255, 128], "3 pixels have an alpha outside 0 to 1, from -0.25 to 255, which is"),
-        ([1 + 2 * HALF_STEP, 1, 1], "1 pixel has an alpha outside 0 to 1, from 0 to 1.00195"),
+        ([0, 2, 1], "1 pixel has an alpha outside 0 to 1, from 0 to 2, held to 0 and 1"),
+        ([-0.5, 0.25, 1], "1 pixel has an alpha outside 0 to 1, from -0.5 to 1, held"),
+        ([-0.25, 255, 128], "3 pixels have an alpha outside 0 to 1, from -0.25 to 255, held"),
+        ([1 + 2 * HALF_STEP, 1, 1], "1 pixel has an alpha outside 0 to 1, from 0 to 1.00195, held to 0 and 1: filters that sharpen"),
+        ([0, 2, -0.125], "from -0.125 to 2, held to 0 and 1: divide it first if it has another"),
     ],
     ids=str,
 )
@@ -99,7 +100,7 @@ def test_values_of_a_mask_are_alphas(tmp_path):
     """So numbers of classes, which an EXR has as they are, do not all become 1 without a word."""
     path = exr(tmp_path, id=np.array([[0, 1, 2, 4]], np.uint32))
     (words,) = said_of(path, tint="red")
-    assert "2 pixels have a value outside 0 to 1, from 0 to 4, which is held to 0 and 1" in words
+    assert "2 pixels have a value outside 0 to 1, from 0 to 4, held to 0 and 1" in words
 
 
 def test_deep_samples_too(desk):
@@ -108,7 +109,7 @@ def test_deep_samples_too(desk):
     deepfile.write(desk / "a.exr", deepfile.of_pixels(pixels, names))
     run = desk.run("flatten", "a.exr", "-o", "out.exr")
     assert (run.code, run.stderr.count("\n")) == (0, 1)
-    assert "a.exr: 2 samples have an alpha outside 0 to 1, from -0.5 to 1.5, which" in run.stderr
+    assert "a.exr: 2 samples have an alpha outside 0 to 1, from -0.5 to 1.5, held" in run.stderr
     assert desk.run("flatten", "a.exr", "-o", "out.exr", "--strict").code == 4
 
 
@@ -237,6 +238,8 @@ def test_a_layer_of_which_nothing_is_seen(placed, layer, options, words):
     assert "layer 1 (" in run.stderr
     assert words in run.stderr
     assert placed.run(*arguments, "--strict").code == 4
+    if not options:
+        assert words in placed.run("explain", "base.png", layer, "--at", "1,1").stderr
 
 
 def test_where_its_file_puts_a_layer_is_no_surprise_in_a_region(placed):
