@@ -8,13 +8,16 @@ from typing import Any
 
 from ..errors import InputError, why
 from ..geometry import Window
-from . import exrheader, exrscanlines, otherformats, pngheader, pngscanlines
+from . import exrheader, exrscanlines, pngheader, pngscanlines
 from .exrscanlines import ExrLayout
 from .header import METRES_PER_INCH
 from .omissions import omissions_of_png
 from .parts import Channel, ImageFile, Part, color_groups
 from .pngscanlines import PngLayout
 from .rawfile import identity_of
+
+#: What tells the formats of pictures apart.
+_HEAD_BYTES = 1024
 
 
 def describe(path: str, label: str | None = None) -> ImageFile:
@@ -86,7 +89,7 @@ def _format_of(path: str, label: str) -> str:
         if os.path.isdir(path):
             raise InputError(f"{label} is a directory: name a PNG or EXR file in it")
         with open(path, "rb") as file:
-            head = file.read(otherformats.HEAD_BYTES)
+            head = file.read(_HEAD_BYTES)
     except OSError as reason:
         raise InputError(f"{label}: cannot be read: {why(reason)}") from None
     if not head:
@@ -96,6 +99,8 @@ def _format_of(path: str, label: str) -> str:
         return "png"
     if head[:4] == exrscanlines.MAGIC:
         return "exr"
+    from . import otherformats  # few files are of these
+
     what = otherformats.what_it_is(head, path, shown=path in label)
     raise InputError(f"{label} {what or 'is neither a PNG nor an EXR file: convert it first'}")
 

@@ -59,9 +59,6 @@ _WEB_PAGE = OtherFormat(
     "a web page", b"<html", "look into it, as a server may have sent it in place of the file"
 )
 
-#: The bytes by which a file is known.
-HEAD_BYTES = 1024
-
 
 def what_it_is(head: bytes, path: str, shown: bool) -> str:
     """What a file is that begins so, and what to do, behind its label; empty if that is unknown.

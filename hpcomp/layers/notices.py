@@ -11,11 +11,11 @@ from ..color.quantization import LARGEST_HALF, Losses
 from ..errors import HpcompWarning, InputError, InputWarning, MismatchError, one_line
 from ..geometry import Placement, Window
 from ..imagefile.reading import LayerReader
-from ..measures.ramps import Ramp
 from .layerspec import LayerSpec
 
-if TYPE_CHECKING:  # only `flatten` needs it
+if TYPE_CHECKING:  # only `flatten` needs the one, and only `check` the other
     from ..imagefile.deepreading import DeepReader
+    from ..measures.ramps import Ramp
 
 
 class Notices:

@@ -1602,7 +1602,7 @@ def test_exr_is_read_back_as_it_was(tmp_path):
     assert np.array_equal(pixels(tmp_path / "a.exr"), hdr())
 
 
-def test_half_overflow_is_clamped_and_counted(tmp_path):
+def test_half_overflow_becomes_darker_and_is_counted(tmp_path):
     rgba = opaque(np.full((3, 4, 3), 0.5))
     rgba[0, 0, :2] = 1e5, -1e9
     rgba[2, 3, 2] = 65519.9
@@ -1612,7 +1612,10 @@ def test_half_overflow_is_clamped_and_counted(tmp_path):
         hpcomp.write_image(path, rgba)
     assert len(caught) == 1
     assert 2 in numbers(caught[0].message, path)
-    assert np.array_equal(pixels(path), np.clip(rgba, -65504, 65504))
+    darker = rgba.copy()
+    darker[0, 0, :3] *= 65504 / 1e9  # as a whole, so that its hue stays
+    darker[2, 3, :3] *= 65504 / 65519.9
+    assert np.array_equal(pixels(path), darker.astype(np.float16))
     with pytest.raises(MismatchError):
         hpcomp.write_image(path, rgba, strict=True)
     hpcomp.write_image(path, rgba, depth="float", strict=True)

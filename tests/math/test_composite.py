@@ -1,5 +1,6 @@
 """The engines against the oracle in all that can be asked of them, and `composite`'s contract."""
 
+import functools
 import itertools
 import subprocess
 import sys
@@ -166,6 +167,28 @@ class TestEngineIsTheOracle:
         size = 1 + np.abs(layers).max(axis=-1).sum(axis=0)[:, None]
         actual = composite(list(layers), order=order, space=space)
         assert_near(actual, expected, tolerance, size)
+
+    @pytest.mark.pairwise
+    @pytest.mark.parametrize("order", ORDER_NAMES)
+    @pytest.mark.parametrize("space", ["linear-rgb", *oracle.SPACES])
+    def test_layers_that_add_nothing(self, composite, space, order):
+        """One layer alone, some of no opacity, and channels that are empty in all."""
+        dark = [self.LAYERS * np.array([*(np.arange(3) != channel), 1]) for channel in range(3)]
+        for layers, opacities in (
+            (self.LAYERS[:1], [1.0]),
+            (self.LAYERS, [1.0, 0.0, 0.6, 0.0]),
+            (self.LAYERS, [0.0] * 4),
+            *((layers, [1.0] * 4) for layers in dark),
+        ):
+            job = {"order": order, "opacities": opacities}
+            pixels = [[tuple(layer) for layer in pixel] for pixel in layers.swapaxes(0, 1).tolist()]
+            of_space = oracle.composite
+            if space in oracle.SPACES:
+                of_space = functools.partial(oracle.composite_in, space)
+            expected = [of_space(pixel, **job) for pixel in pixels]
+            actual = composite(list(layers), opacity=opacities, order=order, space=space)
+            size = 1 + np.abs(layers).max(axis=-1).sum(axis=0)[:, None]
+            assert_near(actual, expected, FLOAT64, size)
 
     @pytest.mark.parametrize("space", oracle.SPACES)
     @given(job=jobs())
