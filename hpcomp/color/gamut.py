@@ -29,8 +29,9 @@ Float64 = NDArray[np.float64]
 #: How often the interval that holds t is halved, and then cut by a secant.
 HALVINGS, SECANTS = 10, 3
 
-#: How far p of a sum may be from p of the plain sum that it is, in float32 and in luminances.
-SAME_P = 1.2e-6
+#: How far a colour of (Y, p) may be from the plain sum that it is: of the largest channel, or in p of
+#: the luminance. In float32; either is enough.
+SAME_COLOR, SAME_P = 4e-6, 1.2e-6
 
 
 def bounds_of(space: Space, rgb: Array, alpha: Array | float = 0.0) -> Array:
@@ -55,11 +56,13 @@ def colors_within(space: Space, luminance: Array, p: Array, plain: Array, bounds
     if space.linear:
         return plain
     rgb = space.inverse(luminance, p)
+    rounding = np.finfo(p.dtype).eps / np.finfo(np.float32).eps
+    size = np.abs(plain).max(axis=0)
+    blended = np.abs(rgb - plain).max(axis=0) > SAME_COLOR * rounding * size
+    apart = np.abs(space.forward(plain)[1] - p).max(axis=0)
+    blended &= apart > SAME_P * rounding * (np.abs(luminance) + np.abs(p).max(axis=0))
     _bring_within(space, rgb, luminance, p, bounds)
-    rounding = SAME_P * (np.finfo(p.dtype).eps / np.finfo(np.float32).eps)
-    difference = np.abs(space.forward(plain)[1] - p).max(axis=0)
-    room = rounding * (np.abs(luminance) + np.abs(p).max(axis=0))
-    return np.where(difference > room, rgb, plain)
+    return np.where(blended, rgb, plain)
 
 
 def into_gamut(straight: Float64, codes_space: Space | None = None) -> Float64:

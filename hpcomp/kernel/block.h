@@ -10,7 +10,7 @@
 namespace hpcomp {
 
 // Pixels of a block: its planes fill the L1 cache, its terms the L2.
-constexpr int kBlock = 512;
+constexpr int kBlock = 256;
 // Pixels whose terms are compared in pairs at a time.
 constexpr int kLanes = 16;
 

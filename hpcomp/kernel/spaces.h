@@ -280,32 +280,54 @@ HPCOMP_INLINE void bring_within(const SpaceMaps &space, int n, const float *lumi
     }
 }
 
-// How far p of a sum may be from p of the plain sum that it is, in luminances.
-constexpr float kSameP = 1.2e-6f;
+// How far a colour of (Y, p) may be from the plain sum that it is, in largest channels, without a look at
+// p, and with one; and how far p may be then, in luminances.
+constexpr float kSameColor = 4e-6f, kNearColor = 1e-3f, kSameP = 1.2e-6f;
 
 // The colours of a reduced stack within [lo, hi], in a space whose maps are not linear: red, green and
 // blue come as the plain sum, and stay it where (+) did nothing else or where p is not finite.
 HPCOMP_INLINE void to_color(const SpaceMaps &space, int n, const Light &light, const float *lo,
                             const float *hi) {
-    Plane red, green, blue, p0, p1;
+    Plane red, green, blue, p0, p1, blended, of_plain;
     const float *luminance = light.luminance;
+    float inverse_largest = 0;
     switch (space.maps) {
     case Maps::kHsl: from_hsl(space, n, luminance, light.p0, light.p1, red, green, blue); break;
-    case Maps::kOklab: from_curve<Oklab>(space, n, luminance, light.p0, light.p1, red, green, blue); break;
-    case Maps::kCielab: from_curve<Cielab>(space, n, luminance, light.p0, light.p1, red, green, blue); break;
+    case Maps::kOklab:
+        inverse_largest = space.oklab.inverse_largest;
+        from_curve<Oklab>(space, n, luminance, light.p0, light.p1, red, green, blue);
+        break;
+    case Maps::kCielab:
+        inverse_largest = space.cielab.inverse_largest;
+        from_curve<Cielab>(space, n, luminance, light.p0, light.p1, red, green, blue);
+        break;
     case Maps::kLinear: return;
     }
-    bring_within(space, n, luminance, light.p0, light.p1, lo, hi, red, green, blue);
-    Plane of_plain;
-    for (int i = 0; i < n; ++i) of_plain[i] = luminance_of(space, light.red[i], light.green[i], light.blue[i]);
-    to_p(space, n, light.red, light.green, light.blue, of_plain, p0, p1);
+    int unclear = 0;  // colours that rounding took far, or of which (Y, p) holds only a part
     for (int i = 0; i < n; ++i) {
-        const float difference = larger(magnitude(p0[i] - light.p0[i]), magnitude(p1[i] - light.p1[i]));
-        const float longest = larger(magnitude(light.p0[i]), magnitude(light.p1[i]));
-        const bool blended = difference > kSameP * (magnitude(luminance[i]) + longest);
-        light.red[i] = blended ? red[i] : light.red[i];
-        light.green[i] = blended ? green[i] : light.green[i];
-        light.blue[i] = blended ? blue[i] : light.blue[i];
+        const float size = largest_of(magnitude(light.red[i]), magnitude(light.green[i]), magnitude(light.blue[i]));
+        const float difference = largest_of(magnitude(red[i] - light.red[i]), magnitude(green[i] - light.green[i]),
+                                            magnitude(blue[i] - light.blue[i]));
+        const float p = larger(magnitude(light.p0[i]), magnitude(light.p1[i]));
+        const bool finite = is_finite(light.p0[i], light.p1[i], luminance[i], size);
+        blended[i] = finite & (difference > kSameColor * size) ? 1.0f : 0.0f;
+        unclear += (blended[i] != 0) & ((difference < kNearColor * size) | (luminance[i] <= 0) |
+                                        (p * inverse_largest > 0.7f * luminance[i]));
+    }
+    bring_within(space, n, luminance, light.p0, light.p1, lo, hi, red, green, blue);
+    if (unclear) {
+        for (int i = 0; i < n; ++i) of_plain[i] = luminance_of(space, light.red[i], light.green[i], light.blue[i]);
+        to_p(space, n, light.red, light.green, light.blue, of_plain, p0, p1);
+        for (int i = 0; i < n; ++i) {
+            const float apart = larger(magnitude(p0[i] - light.p0[i]), magnitude(p1[i] - light.p1[i]));
+            const float room = magnitude(luminance[i]) + larger(magnitude(p0[i]), magnitude(p1[i]));
+            blended[i] = apart > kSameP * room ? blended[i] : 0.0f;
+        }
+    }
+    for (int i = 0; i < n; ++i) {
+        light.red[i] = blended[i] != 0 ? red[i] : light.red[i];
+        light.green[i] = blended[i] != 0 ? green[i] : light.green[i];
+        light.blue[i] = blended[i] != 0 ? blue[i] : light.blue[i];
     }
 }
 
