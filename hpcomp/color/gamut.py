@@ -29,8 +29,8 @@ Float64 = NDArray[np.float64]
 #: How often the interval that holds t is halved, and then cut by a secant.
 HALVINGS, SECANTS = 10, 3
 
-#: How far a colour of (Y, p) may be from the plain sum that it is: of the largest channel, or in p of
-#: the luminance. In float32; either is enough.
+#: How far a colour of (Y, p) may be from the plain sum that it is, in its largest channel, or p in
+#: luminances. Of float32; either is enough.
 SAME_COLOR, SAME_P = 4e-6, 1.2e-6
 
 
