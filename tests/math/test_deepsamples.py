@@ -16,6 +16,7 @@ from hpcomp.blending import deepsamples
 from hpcomp.blending.deepsamples import DeepSamples
 from hpcomp.color.primaries import REC709
 from hpcomp.color.quantization import Losses
+from hpcomp.color.spaces import SPACES
 from hpcomp.engine import choice as engine
 from hpcomp.engine.deepcompositing import flat
 from hpcomp.options import stack_rules
@@ -364,6 +365,31 @@ def test_engines_agree_on_many_in_one_place(monkeypatch, n, hues, space, hue_tol
 
 
 # ---- many pixels ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("space", SPACES)
+@pytest.mark.parametrize("most", [1, 5, 40])
+def test_zeros_and_signs_are_exact(by_each_engine, space, most):
+    """At one depth and at several; a sample that is alone stays as it is, to the bit."""
+    rng = np.random.default_rng(most)
+    pixels = []
+    for channel in np.resize(np.arange(3), 90):
+        values = rng.random((most, 6)).astype(np.float32)
+        values[:, :3] *= values[:, 3:4]
+        values[:, channel] = 0
+        values[:, 4:] = np.floor(3 * values[:, 4:5])
+        pixels.append([tuple(map(float, sample)) for sample in values])
+    for order in ("bottom-up", "simultaneous"):
+        rules = stack_rules(1, space=space, order=order)
+        found = flat(of_pixels(*pixels), rules, "float", Losses(), REC709)
+        assert not np.signbit(found).any()
+        if most == 1:
+            colors = np.array([pixel[0][:4] for pixel in pixels], np.float32)
+            assert np.array_equal(found.view(np.uint32), colors.view(np.uint32))
+    one_hue = [[(0.0, 0.3 * a, 0.9 * a, a, d, d) for _, _, _, a, d, _ in pixel] for pixel in pixels]
+    found = flat(of_pixels(*one_hue), stack_rules(1, space=space), "float", Losses(), REC709)
+    assert not found[:, 0].any()
+    assert found[:, 2].any()
 
 
 def many_samples(rng, pixels, most):
