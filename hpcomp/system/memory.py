@@ -10,7 +10,7 @@ from ..errors import SettingError
 #: megabytes says of itself, no run is to be busy with it for long.
 MAX_PIXELS = "2G"
 
-_AMOUNT = re.compile(r"(\d+(?:\.\d+)?)\s*([KMGT]?)", re.IGNORECASE | re.ASCII)
+_AMOUNT = re.compile(r"(\d{1,99}(?:\.\d{1,99})?)\s*([KMGT]?)", re.IGNORECASE | re.ASCII)
 _BYTES = re.compile(r"(?:i?B)?", re.IGNORECASE)
 
 

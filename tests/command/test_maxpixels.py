@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import struct
 
 import deepfile
@@ -14,6 +15,7 @@ from processes import peak
 
 import hpcomp
 from hpcomp import InputError, MismatchError, SettingError
+from hpcomp.system.memory import parse_bytes, parse_pixels
 
 #: Of all pictures on the desk, and one less than that.
 SIZE, TOO_FEW = (20, 10), "199"
@@ -54,6 +56,7 @@ RUNS = [
 
 @pytest.mark.parametrize(("name", "arguments"), RUNS, ids=lambda value: " ".join(value[:2]))
 def test_every_command_refuses_more_and_takes_as_many(desk, name, arguments):
+    before = set(os.listdir(desk.folder))
     run = desk.run(*arguments, "--max-pixels", TOO_FEW)
     assert run.code == 3
     says = f"{name})" if arguments[0] not in ("hues", "flatten") else name
@@ -61,7 +64,8 @@ def test_every_command_refuses_more_and_takes_as_many(desk, name, arguments):
     for line in errors:
         assert "it claims 20x10, which is 200 pixels and more than 199: raise --max-pixels" in line
     assert any(says in line for line in errors)
-    assert not list(desk.folder.glob("[!a]*.exr.*"))
+    made = set(os.listdir(desk.folder)) - before
+    assert made <= {".jobs.json.hpcomp-state"}
     enough = "1200" if name == "deep.exr" else "200"
     assert desk.run(*arguments, "--max-pixels", enough).code in (0, 6)
 
@@ -162,9 +166,15 @@ def test_info_describes_it_and_says_so(desk):
     ("text", "number"), [("500M", 500_000_000), ("1.5g", 1_500_000_000), (7, 7), ("0.2K", 200)]
 )
 def test_numbers_of_pixels_are_in_thousands(text, number):
-    from hpcomp.system.memory import parse_pixels
-
     assert parse_pixels(text) == number
+
+
+@pytest.mark.parametrize("parse", [parse_pixels, parse_bytes])
+@pytest.mark.parametrize("text", ["", "4X", "-1", "1e9", "4G 4G", "9" * 400, "1." + "9" * 400], ids=str)
+def test_what_is_no_number_of_them_is_a_wrong_setting(parse, text):
+    """Also more digits than a float has room for."""
+    with pytest.raises(SettingError, match="is not a"):
+        parse(text)
 
 
 def test_few_bytes_hold_few_pixels(desk):
