@@ -220,12 +220,9 @@ def choose(
         raise InputError(
             f"{label} is a deep EXR, with many samples a pixel: flatten it with hpcomp flatten"
         )
-    subsampled = [c.name for p in flat for c in p.channels if c.sampling != (1, 1)]
-    if subsampled and not any(p.groups for p in flat):
-        raise InputError(
-            f"{label}: its channels {', '.join(subsampled)} are subsampled (luminance/chroma), "
-            "which is not read: store it as RGB, such as with ImageMagick: magick IN.exr OUT.exr"
-        )
+    unread, flat = flat, [p for p in flat if not p.unread]
+    if not flat:
+        raise InputError(f"{label}: {_why_unread(unread, file)}")
     colors = [(p, group) for p in flat for group in p.groups]
     if deep and not colors:
         colors = [(p, ColorGroup(name, (), c)) for p in flat for name, c in alphas_of(p)]
@@ -305,6 +302,23 @@ def deep_alpha(part: Part, group: ColorGroup, label: str) -> Channel:
 
 def _part_name(part: Part) -> str:
     return part.name or str(part.index)
+
+
+def _why_unread(parts: Sequence[Part], file: ImageFile) -> str:
+    """What to say of parts of which none can be read."""
+    subsampled = [c.name for part in parts for c in part.channels if c.sampling != (1, 1)]
+    if subsampled:
+        return (
+            f"its channels {', '.join(subsampled)} are subsampled (luminance/chroma), which is not "
+            "read: store it as RGB, such as with ImageMagick: magick IN.exr OUT.exr"
+        )
+    names = ", ".join(map(_part_name, parts))
+    if file.parts[0].is_subsampled:
+        return (
+            f"part {names} cannot be read, as the channels of part {_part_name(file.parts[0])} "
+            "before it are subsampled: write it to a file of its own"
+        )
+    return f"part {names} cannot be read, it is damaged"
 
 
 def _part_like(name: str, file: ImageFile) -> str:

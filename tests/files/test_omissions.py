@@ -150,15 +150,21 @@ def test_colours_that_are_spread_over_parts_are_said_to_be(tmp_path):
         hpcomp.read_layer(exr(tmp_path, "RG", "B"))
 
 
-def test_a_part_that_cannot_be_read_is_not_passed_over(tmp_path):
-    """OpenImageIO ends with the part before, as if the file had no more."""
-    path = exr(tmp_path, "RGBA", ["Y", "RY", "BY"], "Z", sizes=[(8, 8)] * 3)
+def subsampled(tmp_path, *parts):
+    """A file of parts in which RY and BY have one value for 2x2 pixels."""
+    path = exr(tmp_path, *parts, sizes=[(8, 8)] * len(parts))
     data = bytearray(path.read_bytes())
     for name in (b"\0RY\0", b"BY\0"):
         place = data.index(name) + len(name) + 8
         assert struct.unpack_from("<ii", data, place) == (1, 1)
         struct.pack_into("<ii", data, place, 2, 2)
     path.write_bytes(data)
+    return path
+
+
+def test_a_part_that_cannot_be_read_is_not_passed_over(tmp_path):
+    """OpenImageIO ends with the part before, as if the file had no more."""
+    path = subsampled(tmp_path, "RGBA", ["Y", "RY", "BY"], "Z")
     said = said_of(path)
     words = "part 1 (p1) cannot be read, its channels are subsampled"
     assert [line.partition(": ")[2] for line in said] == [words]
@@ -167,6 +173,19 @@ def test_a_part_that_cannot_be_read_is_not_passed_over(tmp_path):
     assert [part.name for part in hpcomp.info(path).parts] == ["p0", "p1", "p2"]
     with pytest.raises(InputError, match="its channels BY, RY are subsampled"):
         hpcomp.read_layer(path, part=1)
+    # Nor are its channels looked for a mask.
+    with pytest.raises(InputError, match="there is no colour layer 'Y'"):
+        hpcomp.read_layer(path, layer="Y", tint="red")
+
+
+def test_a_part_behind_one_that_cannot_be_read(tmp_path):
+    """OpenImageIO opens no such file; the part has its colours, and is told what is in its way."""
+    path = subsampled(tmp_path, ["Y", "RY", "BY"], "RGBA")
+    for settings in ({"part": 1}, {"part": 1, "tint": "red"}, {"part": 1, "layer": "A", "tint": "red"}):
+        with pytest.raises(InputError, match="part p1 cannot be read, as the channels of part p0"):
+            hpcomp.read_layer(path, **settings)
+    with pytest.raises(InputError, match="its channels BY, RY are subsampled"):
+        hpcomp.read_layer(path)
 
 
 def test_flat_and_deep_parts_of_one_file(tmp_path):
