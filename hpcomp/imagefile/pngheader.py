@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import BinaryIO
 
@@ -257,6 +257,16 @@ def read_header(path: str) -> PngHeader:
                 kept[kind] = chunk.data
         if file.read(8) == SIGNATURE:
             dropped.append("another PNG is behind its end, and it is left out")
+    return _header_of(kept, image_data, image_bytes, dropped)
+
+
+def _header_of(
+    kept: dict[bytes, bytes],
+    image_data: Sequence[tuple[int, int]],
+    image_bytes: int,
+    dropped: Sequence[str],
+) -> PngHeader:
+    """What the chunks of a whole file say. Errors: `InputError` where they make no picture."""
     if len(kept.get(b"IHDR", b"")) != 13 or not image_data:
         raise InputError("damaged PNG: it has no image data")
     width, height, depth, color_type, deflate, filters, interlace = struct.unpack(

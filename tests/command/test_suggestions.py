@@ -431,11 +431,8 @@ def test_parts_and_layers_that_are_mistaken(desk, settings, words):
     desk.refuses(3, "stack", f"parts.exr::{settings}", "-o", "o.exr", says=words)
     if "write " in words[-1]:
         meant = words[-1].partition("write ")[2]
-        more = "" if "part=" in meant else ",part=Fg"
-        more = ",part=Fg" if meant == "layer=glow" else more
-        desk.makes(
-            "stack", f"parts.exr::{meant}{more if 'part=' not in meant else ''}", "-o", "o.exr"
-        )
+        part = "" if "part=" in meant else ",part=Fg"
+        desk.makes("stack", f"parts.exr::{meant}{part}", "-o", "o.exr")
 
 
 def test_labels_that_are_mistyped(desk):
