@@ -61,15 +61,16 @@ def open_deep(
             repack_deep(path, chosen, copy, "zips", label)
             file = describe(copy, label)
             chosen, group = choose(file, layer=layer, deep=True, label=label)
-        reader = DeepReader(file, chosen, group, interpretation, label)
-        reader.omissions = left_out  # of the file that was named, not of a copy of one part
+        # What is left out is that of the file that was named, not of a copy of one part.
+        reader = DeepReader(file, chosen, group, interpretation, label, left_out)
         yield opened.enter_context(contextlib.closing(reader))
 
 
 class DeepReader:
     """A deep image of a file, read by rows in any order, by any number of threads at a time.
 
-    `label` names it in errors; the path of the file if not given.
+    `label` names it in errors; the path of the file if not given. `left_out`: what of its file is
+    not in it, in words.
     Errors: `SettingError`, `InputError`, also for an image without depth or alpha.
     """
 
@@ -80,11 +81,12 @@ class DeepReader:
         group: ColorGroup,
         interpretation: Interpretation = AS_STORED,
         label: str | None = None,
+        left_out: tuple[str, ...] = (),
     ) -> None:
         self.part, self.nonfinite = part, interpretation.nonfinite
         self.label = label or file.path
         self.problems = interpretation.problems_of(part, self.label)
-        self.omissions = interpretation.unanswered(omissions(file, part, group))
+        self.omissions = left_out
         self.decoding = interpretation.decoding_of(file, part)
         self.alphas = OutsideAlphas()
         self._color, self._depth = _channel_names(part, group, self.label)
