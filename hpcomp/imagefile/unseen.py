@@ -11,6 +11,7 @@ from threading import Lock
 
 import numpy as np
 
+from ..color.primaries import to_xyz
 from ..color.samples import Decoding, Samples
 from ..geometry import Window
 
@@ -107,8 +108,11 @@ class Unseen:
         if by_value and samples.dtype.kind == "u":
             self._white = int(np.iinfo(samples.dtype).max)
             self._largest = max(self._largest, int(color.max()))
-        if decoding.tint is not None and decoding.alpha_mode != "luminance":
+        if by_value and (decoding.alpha_mode != "luminance" or channels == 1):
             self.alphas.add(samples[..., 0])
+        elif by_value and channels == 3 and samples.dtype.kind == "f":
+            weights = np.array(to_xyz(decoding.encoding.primaries)[1], np.float32)
+            self.alphas.add(samples.astype(np.float32) @ weights)
         elif alpha is not None and not _all_held(samples):
             self.alphas.add(alpha)
         if alpha is None:
@@ -122,8 +126,8 @@ class Unseen:
 
     def in_words(self) -> Iterator[str]:
         """What to say behind the label of the layer, once its rows are read."""
-        tinted = self._decoding.tint is not None
-        alphas = self.alphas.in_words("pixel", "a value" if tinted else "an alpha")
+        by_value = self._decoding.tint is not None or self._decoding.alpha_mode == "luminance"
+        alphas = self.alphas.in_words("pixel", "a value" if by_value else "an alpha")
         if alphas:
             yield alphas
         if self._hidden_light:

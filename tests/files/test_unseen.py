@@ -103,6 +103,13 @@ def test_values_of_a_mask_are_alphas(tmp_path):
     assert "2 pixels have a value outside 0 to 1, from 0 to 4, held to 0 and 1" in words
 
 
+@pytest.mark.parametrize("names", ["Y", "RGB"])
+def test_luminances_that_are_alphas_are_held_too(tmp_path, names):
+    path = exr(tmp_path, **{name: np.array([[0, 0.5, 1, 4]], np.float32) for name in names})
+    (words,) = said_of(path, alpha="luminance")
+    assert "1 pixel has a value outside 0 to 1, from 0 to 4, held to 0 and 1" in words
+
+
 def test_deep_samples_too(desk):
     names = ("R", "G", "B", "A", "Z")
     pixels = [[[(0.5, 0, 0, 1.5, 1.0), (0.5, 0, 0, -0.5, 2.0)], [(0, 0, 0.5, 0.5, 1.0)]]]
