@@ -13,7 +13,7 @@ import oracle
 import pngfile
 import pytest
 from command import OLD, TERMINAL, Desk, hidden_matplotlib, loaded, made_elsewhere, on_terminal
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from PIL import Image
 from strategies import color_of, valid_colors
@@ -77,8 +77,10 @@ def test_pairs_are_the_sums_of_the_paper(space, hue_tolerance):
 
 @settings(max_examples=40)
 @given(st.lists(colors, min_size=2, max_size=4))
+@example([(0.0, 0.0, 0.0), (0.3678314542469868, 0.3678314542469869, 0.36783145424698693)])
 def test_a_blend_has_the_hue_of_one_of_the_two_and_their_luminance(found):
-    palette = hpcomp.palette(found, achromatic=0.0)
+    # What makes a grey of other than equal channels is rounding, which has no hue to keep.
+    palette = hpcomp.palette(found, achromatic=1e-9)
     steps = np.linspace(0, 1, PROFILE_STEPS)[:, None]
     for pair in palette.pairs:
         assert pair.result.foreign == 0
