@@ -26,7 +26,7 @@ from ..layers.layerspec import LayerSpec
 from ..layers.placing import Layer
 from ..measures.defaults import DEFAULT_ACHROMATIC
 from ..measures.labels import measure_settings
-from ..options import RuleOptions, older_spelling, stack_rules
+from ..options import ResourceOptions, RuleOptions, older_spelling, stack_rules
 from ..system.streams import STDIN, STDOUT
 from .hues import images_to_measure, read_hues
 
@@ -266,6 +266,7 @@ def palette(
     gray_opacity: float = DEFAULT_GREY_OPACITY,
     achromatic: float = DEFAULT_ACHROMATIC,
     strict: bool = RuleOptions.strict,
+    max_pixels: str | int = ResourceOptions.max_pixels,
     **rules: Any,
 ) -> Palette:
     """Blends every pair of labels in every order, as ⊕ and as traditional + do, and judges them.
@@ -279,7 +280,7 @@ def palette(
     `least_difference`, a label at `opacity`, 0 to 1, is nearer to the background than that, 0 to 1
     in Oklab; `gray_opacity`, one label turns another grey at less opacity than that, 0 to 1;
     `achromatic`, colours of less saturation have no hue, 0 to 1. `strict`: warnings of files become
-    errors.
+    errors. `max_pixels`: a file that claims more is refused.
     Returns: a `Palette`.
     Errors: `SettingError`; of layers, `InputError`, and `MismatchError` where no hue stands out.
     Source: Chuang et al. 2009, Figures 4 and 6.
@@ -289,8 +290,14 @@ def palette(
         if name in rules:
             raise SettingError(f"'{name}' says nothing of a palette: leave it out")
     named = [_named(color) for color in colors]
+    reading: dict[str, Any] = {
+        "space": rules.get("space", RuleOptions.space),
+        "achromatic": achromatic,
+        "strict": strict,
+        "max_pixels": max_pixels,
+    }
     for spec in images_to_measure(layers, STDOUT):
-        named += _labels_of(spec, achromatic, strict, str(rules.get("space", RuleOptions.space)))
+        named += _labels_of(spec, reading)
     if not FEWEST_LABELS <= len(named) <= MOST_LABELS:
         raise SettingError(
             f"{len(named)} labels: a palette has {FEWEST_LABELS} to {MOST_LABELS} of them"
@@ -352,9 +359,12 @@ def _named(color: Color) -> _Named:
     return name or css_title(written), rgb
 
 
-def _labels_of(spec: LayerSpec, achromatic: float, strict: bool, space: str) -> list[_Named]:
-    """A label for each peak of a layer's hues, the most frequent first. Errors: `MismatchError`."""
-    peaks = read_hues(spec, space=space, achromatic=achromatic, strict=strict).peaks
+def _labels_of(spec: LayerSpec, reading: dict[str, Any]) -> list[_Named]:
+    """A label for each peak of a layer's hues, the most frequent first. Errors: `MismatchError`.
+
+    `reading`: the arguments of `read_hues`.
+    """
+    peaks = read_hues(spec, **reading).peaks
     name = spec.name or ("stdin" if spec.path == STDIN else PurePath(spec.path).stem)
     if not peaks:
         raise MismatchError(f"{spec.title}: no hue stands out in it: name its colours instead")

@@ -142,7 +142,7 @@ def _limit(*names: str, default: float, metavar: str, help: str) -> Callable[[F]
     metavar="SATURATION",
     help="Colours of less saturation, 0 to 1, have no hue.",
 )
-@stack_options("clobber")
+@stack_options("max_pixels", "clobber")
 @click.option(
     "--strict",
     is_flag=True,

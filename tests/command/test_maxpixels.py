@@ -8,6 +8,7 @@ import struct
 
 import deepfile
 import exrfile
+import numpy as np
 import pngfile
 import pytest
 from command import Desk
@@ -28,6 +29,7 @@ def desk(tmp_path):
     for number in (1, 2):
         desk.put(f"f{number}.png", (desk / "a.png").read_bytes())
     desk.put("palette.png", pngfile.random_png(pngfile.PALETTE, 8, width=20, height=10).encode())
+    desk.put("red.png", pngfile.rgba_png(np.full((10, 20, 4), (200, 40, 40, 255)), 8).encode())
     exrfile.write(desk / "a.exr", exrfile.planes("RGBA", 20, 10))
     exrfile.write(desk / "shown.exr", exrfile.planes("RGBA", 2, 2), display=(0, 0, 20, 10))
     deepfile.write(desk / "deep.exr", deepfile.noise(20, 10, 6))
@@ -46,6 +48,7 @@ RUNS = [
     ("shown.exr", ["stack", "shown.exr", "-o", "out.exr"]),
     ("deep.exr", ["flatten", "deep.exr", "-o", "out.exr"]),
     ("a.png", ["hues", "a.png"]),
+    ("red.png", ["palette", "blue", "--from", "red.png"]),
     ("a.png", ["explain", "a.png", "--at", "1,2"]),
     ("a.png", ["check", "a.exr", "a.png", "--max-foreign", "1"]),
     ("a.png", ["check", "a.png", "--hues", "0", "--max-foreign", "1"]),
@@ -59,7 +62,7 @@ def test_every_command_refuses_more_and_takes_as_many(desk, name, arguments):
     before = set(os.listdir(desk.folder))
     run = desk.run(*arguments, "--max-pixels", TOO_FEW)
     assert run.code == 3
-    says = f"{name})" if arguments[0] not in ("hues", "flatten") else name
+    says = f"{name})" if arguments[0] not in ("hues", "palette", "flatten") else name
     errors = [line for line in run.lines if "error" in line]
     for line in errors:
         assert "it claims 20x10, which is 200 pixels and more than 199: raise --max-pixels" in line
@@ -107,6 +110,7 @@ def test_python_has_it_too(desk):
     for call in (
         lambda most: hpcomp.read_layer(path, max_pixels=most),
         lambda most: hpcomp.read_hues(path, max_pixels=most),
+        lambda most: hpcomp.palette(["blue"], layers=[str(desk / "red.png")], max_pixels=most),
         lambda most: hpcomp.stack([path], desk / "out.exr", max_pixels=most),
         lambda most: hpcomp.explain([path], (0, 0), max_pixels=most),
     ):
