@@ -20,16 +20,12 @@ from .deepchunks import COMPRESSIONS, DeepChunks, DeepCounts, layout_of
 from .description import describe
 from .interpretation import AS_STORED, Interpretation
 from .omissions import omissions
-from .parts import ColorGroup, ImageFile, Part, choose, deep_alpha
+from .parts import ColorGroup, ImageFile, Part, choose, deep_channel_names
 from .rawfile import RawFile
 from .seekable import temporary
 from .unseen import OutsideAlphas
 
 log = logging.getLogger("hpcomp")
-
-FRONT = "Z"
-#: As OpenEXR spells it, and as OpenImageIO did.
-BACKS = ("ZBack", "Zback")
 
 
 @contextlib.contextmanager
@@ -55,7 +51,7 @@ def open_deep(
         if chosen.compression not in COMPRESSIONS.values():
             from .openimageio import repack_deep
 
-            _channel_names(chosen, group, label)  # else it would be repacked in vain
+            deep_channel_names(chosen, group, label)  # else it would be repacked in vain
             _, copy = opened.enter_context(temporary(label))
             log.info("%s is packed as %s, and repacked first", label, chosen.compression)
             repack_deep(path, chosen, copy, "zips", label)
@@ -89,7 +85,7 @@ class DeepReader:
         self.omissions = left_out
         self.decoding = interpretation.decoding_of(file, part)
         self.alphas = OutsideAlphas()
-        self._color, self._depth = _channel_names(part, group, self.label)
+        self._color, self._depth = deep_channel_names(part, group, self.label)
         raw = RawFile(file.path, file.identity, self.label)
         with contextlib.ExitStack() as failed:
             failed.callback(raw.close)
@@ -186,18 +182,6 @@ class DeepReader:
             f"{self.label}: {samples_are} NaN or infinite, the first in pixel {first}: "
             "--nonfinite zero or keep lets them pass"
         )
-
-
-def _channel_names(part: Part, group: ColorGroup, label: str) -> tuple[list[str], list[str]]:
-    """Of colour and alpha, and of the depths. Errors: `InputError` where one is missing."""
-    names = [channel.name for channel in part.channels]
-    color = [c.name for c in (*group.color, deep_alpha(part, group, label))]
-    if FRONT not in names:
-        raise InputError(
-            f"{label} has no depth {FRONT}, only {', '.join(names)}: "
-            "deep data need one to be sorted by"
-        )
-    return color, [FRONT, *[name for name in BACKS if name in names][:1]]
 
 
 def _broken(front: Any, back: Any, stored: Any) -> NDArray[np.bool_]:

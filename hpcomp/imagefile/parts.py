@@ -225,7 +225,12 @@ def choose(
         raise InputError(f"{label}: {_why_unread(unread, file)}")
     colors = [(p, group) for p in flat for group in p.groups]
     if deep and not colors:
-        colors = [(p, ColorGroup(name, (), c)) for p in flat for name, c in alphas_of(p)]
+        colors = [
+            (p, ColorGroup(name, (), c))
+            for p in flat
+            for name, c in alphas_of(p)
+            if not _some_of_a_color(p, name)
+        ]
     channels = ", ".join(c.name for p in flat for c in p.channels)
     if layer is not None:
         named = [(p, g) for p, g in colors if g.layer == layer]
@@ -266,11 +271,14 @@ def choose(
     return named[0]
 
 
+_FRONT = "Z"
+#: As OpenEXR spells it, and as OpenImageIO did.
+_BACKS = ("ZBack", "Zback")
 #: Alphas of one colour each, by both spellings that were ever recommended.
 ALPHAS_OF_COLORS = ("AR", "AG", "AB", "RA", "GA", "BA")
 
 
-def deep_alpha(part: Part, group: ColorGroup, label: str) -> Channel:
+def _deep_alpha(part: Part, group: ColorGroup, label: str) -> Channel:
     """The alpha of a deep colour: of its layer, or of the nearest that encloses it.
 
     Errors: `InputError` where there is none, or one for each colour. OpenEXR: Interpreting Deep
@@ -298,6 +306,27 @@ def deep_alpha(part: Part, group: ColorGroup, label: str) -> Channel:
                 f"only {there_is}: write it with an A"
             )
         layer = layer.rpartition(".")[0]
+
+
+def deep_channel_names(part: Part, group: ColorGroup, label: str) -> tuple[list[str], list[str]]:
+    """The channels of deep data: of colour and alpha, and of the depths.
+
+    Errors: `InputError` where one is missing.
+    """
+    names = [channel.name for channel in part.channels]
+    color = [c.name for c in (*group.color, _deep_alpha(part, group, label))]
+    if _FRONT not in names:
+        raise InputError(
+            f"{label} has no depth {_FRONT}, only {', '.join(names)}: "
+            "deep data need one to be sorted by"
+        )
+    return color, [_FRONT, *[name for name in _BACKS if name in names][:1]]
+
+
+def _some_of_a_color(part: Part, layer: str) -> bool:
+    """Whether a layer of a part has any of the channels of a colour."""
+    prefix = f"{layer}." if layer else ""
+    return any(channel.name in [prefix + c for c in "RGBY"] for channel in part.channels)
 
 
 def _part_name(part: Part) -> str:

@@ -8,7 +8,7 @@ from ..errors import InputError, printable
 from ..geometry import Window
 from ..imagefile.header import METRES_PER_INCH
 from ..imagefile.omissions import omissions
-from ..imagefile.parts import Channel, ColorGroup, ImageFile, Part, choose
+from ..imagefile.parts import Channel, ColorGroup, ImageFile, Part, choose, deep_channel_names
 from ..system.memory import MAX_PIXELS, parse_pixels
 
 #: Version of the data that `as_data` gives; it grows when a key changes its meaning or goes.
@@ -24,6 +24,8 @@ def as_data(file: ImageFile) -> dict[str, Any]:
     """
     data: dict[str, Any] = {"path": file.path, "format": file.format}
     try:
+        if all(part.deep for part in file.parts):
+            deep_channel_names(*choose(file, deep=True), file.path)  # else flatten refuses it too
         part, group = choose(file)
         if part.refusal:
             raise InputError(f"{file.path}: {part.refusal}")

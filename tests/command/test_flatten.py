@@ -447,6 +447,23 @@ def test_what_cannot_be_flattened_is_not_repacked_first(desk):
     assert "repacked" not in run.stderr
 
 
+@pytest.mark.parametrize("names", ["GBAZ", "RAZ"])
+def test_a_colour_of_which_a_channel_is_missing_is_not_black(desk, names):
+    deepfile.write(desk / "a.exr", of_pixels([[[(0.5,) * len(names)]]], tuple(names)))
+    listed = ", ".join(names)
+    desk.refuses(3, "flatten", "a.exr", "-o", "x.exr", says=[f"has no colour, only {listed}: "])
+
+
+@pytest.mark.parametrize("missing", ["A", "Z", "RGBA"])
+def test_info_says_why_a_deep_file_cannot_be_flattened(desk, missing):
+    names = tuple(name for name in "RGBAZ" if name not in missing)
+    deepfile.write(desk / "a.exr", of_pixels([[[(0.5,) * len(names)]]], names))
+    run = desk.run("flatten", "a.exr", "-o", "x.exr")
+    assert run.code == 3
+    (file,) = json.loads(desk.run("info", "--json", "a.exr").stdout)["files"]
+    assert run.lines == [f"hpcomp: error: {file['problem']}"]
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("tile", [None, (64, 128)])
 def test_zstd_stays_in_the_budget(tmp_path, tile):
