@@ -32,9 +32,10 @@ def format_of_output(path: str, format: str | None = None) -> str:
             raise SettingError(f"output {path} ends in .{ending} but the format is {format}")
         return ending
     if format is None:
-        where = "stdout" if path == STDOUT else f"output {path}"
+        if path == STDOUT:
+            raise SettingError("stdout does not say its format: give --format png or --format exr")
         raise SettingError(
-            f"{where} does not say its format: end it in .png or .exr, or give --format"
+            f"output {path} does not say its format: end it in .png or .exr, or give --format"
         )
     return format
 

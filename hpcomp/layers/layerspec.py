@@ -113,7 +113,11 @@ def parse_layer(text: str) -> LayerSpec:
     Errors: `SettingError` for an unknown or repeated key and for an opacity out of range.
     """
     path, separator, settings = text.rpartition("::")
-    if not separator or os.path.exists(text):
+    if os.path.exists(text):
+        return LayerSpec(text)
+    if not os.path.exists(path) and (meant := _layer_like(text)):
+        raise SettingError(f"'{text}' names no file: did you mean '{meant}'?")
+    if not separator:
         return LayerSpec(text)
     if not path:
         raise SettingError(f"'{text}' names no file before its ::")
@@ -137,6 +141,10 @@ def parse_layer(text: str) -> LayerSpec:
 #: Keys whose values are sometimes written as numbers with commas between them.
 _OF_NUMBERS = ("opacity", "at", "tint")
 _NUMBER = re.compile(r"\s*[+-]?[0-9.]+%?\s*\)?")
+#: A path with its settings, but with another sign than `::` between them, or with several `::`.
+_MISWRITTEN = re.compile(
+    rf"(?P<path>.+?)(?::+|[,?]) *(?P<settings>(?:{'|'.join(LAYER_KEYS)})=.*)", re.DOTALL
+)
 
 
 def _settings(text: str) -> list[str]:
@@ -159,6 +167,14 @@ def _opacity_like(text: str) -> str:
         if 0 <= value <= 1:
             return f": write {value:g}"
     return ""
+
+
+def _layer_like(text: str) -> str:
+    """The layer that was probably meant; empty unless its file exists."""
+    match = _MISWRITTEN.fullmatch(text)
+    if match is None or not os.path.exists(match["path"]):
+        return ""
+    return f"{match['path']}::{re.sub('::+', ',', match['settings'])}"
 
 
 def _setting_like(text: str) -> str:

@@ -457,3 +457,36 @@ def test_keys_and_names_of_jobs_are_suggested_too(desk):
     ):
         (desk / "jobs.json").write_text(job)
         desk.refuses(2, "batch", "jobs.json", says=["jobs.json:1", *words])
+
+
+@pytest.mark.parametrize(
+    ("typed", "meant"),
+    [
+        ("top.png:opacity=0.5", "top.png::opacity=0.5"),
+        ("top.png:::opacity=0.5", "top.png::opacity=0.5"),
+        ("top.png,opacity=0.5", "top.png::opacity=0.5"),
+        ("top.png, opacity=0.5,op=atop", "top.png::opacity=0.5,op=atop"),
+        ("top.png?at=+1+2", "top.png::at=+1+2"),
+        ("top.png::name=x::opacity=0.5", "top.png::name=x,opacity=0.5"),
+    ],
+)
+def test_settings_behind_another_sign(desk, typed, meant):
+    run = desk.run("stack", "base.png", typed, "-o", "out.png")
+    assert run.code == 2
+    assert run.lines[-1].endswith(f"'{typed}' names no file: did you mean '{meant}'?")
+    assert desk.run("stack", "base.png", meant, "-o", "out.png").code == 0
+
+
+@pytest.mark.parametrize("name", ["top.png:opacity=1", "top.png::name=x", "a,op=over.png"])
+def test_a_file_whose_name_looks_like_settings_is_read(desk, name):
+    desk.put(name, (desk / "top.png").read_bytes())
+    assert desk.run("stack", "base.png", name, "-o", "out.png").code == 0
+    assert desk.run("stack", "base.png", f"{name}::opacity=0.5", "-o", "out.png").code == 0
+
+
+def test_stdout_has_no_ending(desk):
+    run = desk.run("stack", "base.png", "-o", "-")
+    assert run.code == 2
+    assert run.lines[-1].endswith(
+        "stdout does not say its format: give --format png or --format exr"
+    )
