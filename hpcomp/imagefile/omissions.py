@@ -100,7 +100,7 @@ def _alphas_left_out(file: ImageFile, part: Part, group: ColorGroup) -> Iterator
     names = [c.name for c in part.channels]
     of_colors = [prefix + name for name in ALPHAS_OF_COLORS if prefix + name in names]
     if of_colors and group.color and not part.deep:
-        what = "A alone" if group.alpha else "it is read as opaque"
+        what = "only A is" if group.alpha else "and the layer is opaque"
         yield Omission(
             f"its alphas of single colours, {_listed(of_colors)}, are not read, {what}: write one "
             "A, or say alpha=",
@@ -115,8 +115,8 @@ def _alphas_left_out(file: ImageFile, part: Part, group: ColorGroup) -> Iterator
             if channel not in taken and encloses and other.data_window == part.data_window:
                 where = f" in part {_name(other)}" if other is not part else ""
                 yield Omission(
-                    f"the alpha {channel.name}{where} is not read, and it is opaque: write it "
-                    "beside the colours, with their layer's name, or say alpha=",
+                    f"the alpha {channel.name}{where} is not read, and the layer is opaque: "
+                    "write it beside the colours, with their layer's name, or say alpha=",
                     ("alpha",),
                 )
 

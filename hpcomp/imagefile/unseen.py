@@ -61,7 +61,7 @@ class OutsideAlphas:
         have = f"1 {one} has" if self.count == 1 else f"{self.count} {one}s have"
         extent = f"{self._least:.6g} to {self._most:.6g}"
         what_next = (
-            "filters that sharpen leave such values, which box and triangle do not"
+            "filters that sharpen leave such values; box and triangle filters leave none"
             if self._least > -_OVERSHOOT and self._most < 1 + _OVERSHOOT
             else "divide it first if it has another scale"
         )

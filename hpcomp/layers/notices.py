@@ -119,7 +119,7 @@ def warn_of_ramps(
         notices.warn(
             f"hues of {names[ramp.lower]} or {names[ramp.upper]} run across a hue of the other: "
             f"where they are within {hue_tolerance:g}° the picture is vivid, and beside that grey. "
-            "stack with --hue-tolerance 30, or with --blending foremost or traditional, has no "
+            "A stack with --hue-tolerance 30, or with --blending foremost or traditional, has no "
             "such ring"
         )
 

@@ -74,15 +74,15 @@ LEFT_OUT = {
         [["b.R", "b.G", "b.B"], ["b.A"]], "the alpha b.A in part 1 (p1) is not read", ["alpha"]
     ),
     "alpha around the layer": (
-        [["b.R", "b.G", "b.B", "A"]], "the alpha A is not read, and it is opaque", ["alpha"]
+        [["b.R", "b.G", "b.B", "A"]], "the alpha A is not read, and the layer is opaque", ["alpha"]
     ),
     "alphas of colours": (
         [["R", "G", "B", "AR", "AG", "AB"]],
-        "its alphas of single colours, AR, AG, AB, are not read, it is read as opaque",
+        "its alphas of single colours, AR, AG, AB, are not read, and the layer is opaque",
         ["alpha"],
     ),
     "alphas of colours beside an A": (
-        [["R", "G", "B", "A", "AR", "AG", "AB"]], "AR, AG, AB, are not read, A alone", ["alpha"]
+        [["R", "G", "B", "A", "AR", "AG", "AB"]], "AR, AG, AB, are not read, only A is", ["alpha"]
     ),
     "chroma in another part": (
         ["Y", ["RY", "BY"]], "the colours BY, RY in part 1 (p1) are not read, and it is grey", []
