@@ -1,11 +1,12 @@
 """What a file holds that is not in the picture which is read of it. From headers alone, no pixels.
 
 Nothing is said of metadata that say nothing of the picture, of the smaller levels of a mipmap,
-which show the same, and of channels that are no colour, such as depth.
+which show the same, and of what is no colour, such as depth and layers of numbers.
 """
 
 from __future__ import annotations
 
+import re
 import struct
 from collections.abc import Iterable, Iterator
 
@@ -14,6 +15,12 @@ from .pngheader import PngHeader
 
 #: So many names are listed, and the others counted.
 _LISTED = 5
+#: Layers of numbers that renderers store as three channels beside their picture: Cryptomatte,
+#: normals, positions, coordinates of textures, motion.
+_DATA = re.compile(
+    r"crypto\w*|n|normals?|p|pref|pos(ition)?|uvw?|st|motion(vectors?)?|velocity|vector",
+    re.IGNORECASE,
+)
 #: The tag of Exif that says how a picture is to be turned, and its value for not at all.
 _ORIENTATION, _UPRIGHT = 0x0112, 1
 
@@ -103,7 +110,7 @@ def _alphas_left_out(file: ImageFile, part: Part, group: ColorGroup) -> Iterator
         what = "only A is" if group.alpha else "and the layer is opaque"
         yield Omission(
             f"its alphas of single colours, {_listed(of_colors)}, are not read, {what}: write one "
-            "A, or say alpha=",
+            "A, or say alpha=premultiplied",
             ("alpha",),
         )
     if group.alpha is not None or _is_mask(part, group):
@@ -116,7 +123,8 @@ def _alphas_left_out(file: ImageFile, part: Part, group: ColorGroup) -> Iterator
                 where = f" in part {_name(other)}" if other is not part else ""
                 yield Omission(
                     f"the alpha {channel.name}{where} is not read, and the layer is opaque: "
-                    "write it beside the colours, with their layer's name, or say alpha=",
+                    "write it beside the colours, with their layer's name, or say "
+                    "alpha=premultiplied",
                     ("alpha",),
                 )
 
@@ -146,7 +154,8 @@ def _pictures_left_out(file: ImageFile, part: Part, group: ColorGroup) -> Iterat
         _title(file, other, found.layer)
         for other in file.parts
         for found in _pictures_of(other)
-        if (other.index, found.layer) != (part.index, group.layer)
+        if not _DATA.fullmatch(found.layer.rpartition(".")[2])
+        and (other.index, found.layer) != (part.index, group.layer)
     ]
     if others:
         read = _title(file, part, group.layer)

@@ -127,6 +127,8 @@ def test_of_an_exr(tmp_path, kind):
         ["RGBAZ"],
         [["R", "G", "B", "A", "id", "N.X", "N.Y", "N.Z", "motion.x"]],
         ["RGBA", "Z"],
+        [[*"RGBA", *(f"{layer}.{c}" for layer in ("N", "crypto_object00", "view.P", "uv") for c in "RGB")]],
+        ["RGBA", ["motionVectors.R", "motionVectors.G", "motionVectors.B"]],
         ["RGB", ["crypto.A"]],
         [["b.R", "b.G", "b.B", "b.A"]],
     ],
