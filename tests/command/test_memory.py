@@ -214,10 +214,13 @@ def test_height_does_not_matter(peak, ending, threads):
 @pytest.mark.parametrize("order", ["bottom-up", "top-down"])
 def test_number_of_layers_does_not_matter(peak, order, threads):
     """Only what an open file takes: a strip of 64 rows of each more would be 60 MiB."""
-    few = peak(["wide.exr"] * 4, "exr", 64, threads, "--order", order)
-    many = peak(["wide.exr"] * 24, "exr", 64, threads, "--order", order)
-    assert many <= 64
-    assert many - few <= 20 * 1.0
+    few, many = (
+        # How far two threads are apart changes a peak by some MiB from run to run.
+        sorted(peak(["wide.exr"] * n, "exr", 64, threads, "--order", order) for _ in range(3))
+        for n in (4, 24)
+    )
+    assert max(many) <= 64
+    assert many[1] - few[1] <= 20 * 1.0
 
 
 # ---- reports --------------------------------------------------------------------------------
