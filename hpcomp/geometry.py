@@ -57,20 +57,30 @@ class Window:
         )
         return common if common.width > 0 and common.height > 0 else None
 
+    @property
+    def slices(self) -> tuple[slice, slice]:
+        """Its rows and columns, of an array that begins where coordinates do."""
+        return slice(self.y, self.bottom), slice(self.x, self.right)
+
     def strips(self, rows: int) -> Iterator[Window]:
         """Its rows from the top, so many at a time."""
-        for begin in range(self.y, self.bottom, rows):
-            yield Window(self.x, begin, self.width, min(rows, self.bottom - begin))
+        for top, bottom in _pieces(self.y, self.bottom, rows):
+            yield Window(self.x, top, self.width, bottom - top)
 
     def blocks(self, pixels: int) -> Iterator[Window]:
         """All of it in blocks of up to so many pixels: of whole rows, or of parts of one row."""
-        width = min(self.width, pixels)
-        for rows in self.strips(max(1, pixels // self.width)):
-            for left in range(self.x, self.right, width):
-                yield Window(left, rows.y, min(width, self.right - left), rows.height)
+        for rows in self.strips(max(1, pixels // max(1, self.width))):
+            for left, right in _pieces(self.x, self.right, pixels):
+                yield Window(left, rows.y, right - left, rows.height)
 
     def contains(self, other: Window) -> bool:
         return self.intersection(other) == other
+
+
+def _pieces(begin: int, end: int, size: int) -> Iterator[tuple[int, int]]:
+    """Begins and ends of pieces of that size; the last may be shorter."""
+    for at in range(begin, end, size):
+        yield at, min(at + size, end)
 
 
 def _between(left: int, top: int, right: int, bottom: int) -> Window:

@@ -475,7 +475,9 @@ def _outcome(
     p = contributing.reduced(rules)
     support = Support.of(p, contributing, settings)
     winner = int(support.winner(contributing, settings.half_step)[0])
-    _, provenance = measures_of(rules, settings, [np.asarray(pixel) for pixel in pixels])
+    _, provenance = measures_of(
+        rules, settings, [np.asarray(pixel).reshape(1, 1, 4) for pixel in pixels]
+    )
     if not contributing.total()[0] > settings.half_step:
         kind = "colorless"
     elif not support.size[0] > settings.half_step:
@@ -491,8 +493,8 @@ def _outcome(
         chroma=_size(p),
         kind=kind,
         survivor=winner if winner >= 0 else None,
-        grey=float(provenance.grey[0]),
-        margin=float(provenance.margin[0]),
+        grey=float(provenance.grey[0, 0]),
+        margin=float(provenance.margin[0, 0]),
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -15,7 +16,7 @@ from ..color.primaries import to_xyz, working_primaries
 from ..color.quantization import Losses
 from ..color.samples import Strip
 from ..errors import MismatchError
-from ..measures.labels import BLOCK_PIXELS, StackMeasures, measure_settings, measures_of
+from ..measures.labels import StackMeasures, blocks_of, measure_settings, measures_of
 from ..options import RuleOptions, stack_rules
 from . import choice as engine
 
@@ -115,10 +116,14 @@ def hue_add(
     return color_of(blending_space, both).T.reshape(a.shape)
 
 
-def stack_measures(layers: Sequence[ArrayLike], **settings: Any) -> StackMeasures:
+def stack_measures(
+    layers: Sequence[ArrayLike], *, origin: tuple[int, int] = (0, 0), **settings: Any
+) -> StackMeasures:
     """Measures what compositing does to the hues of layers, bottom first.
 
-    `layers`: arrays (…, 4) of one shape; linear, premultiplied RGBA; measured in float32.
+    `layers`: arrays (…, height, width, 4) of one shape, pictures one by one, or (n, 4), which is
+    one row; linear, premultiplied RGBA; measured in float32.
+    `origin`: x and y of the first pixel of a picture, counted from the canvas' corner.
     `settings`: the rules of `composite` under the same names, and
       `half_step` 0.5/65535: |p| above which a term contributes and a result has chroma;
       `achromatic` 0.02: saturation in [0, 1] below which a result is grey;
@@ -135,10 +140,13 @@ def stack_measures(layers: Sequence[ArrayLike], **settings: Any) -> StackMeasure
     }
     rules = stack_rules(len(layers), **settings)
     checked = measure_settings(rules, **own)
-    flat = [array.reshape(-1, 4) for array in _of_one_shape(layers)]
+    arrays = _of_one_shape(layers)
+    *pictures, height, width, _ = (1, 1, *arrays[0].shape)
     total = StackMeasures.none(rules, checked)
-    for begin in range(0, len(flat[0]), BLOCK_PIXELS):
-        block = np.array([layer[begin : begin + BLOCK_PIXELS] for layer in flat], np.float32)
-        np.clip(block[..., 3], 0, 1, out=block[..., 3])
-        total += measures_of(rules, checked, block)[0]
+    stacks = [array.reshape(math.prod(pictures), height, width, 4) for array in arrays]
+    for picture in zip(*stacks, strict=True):
+        for place, block in blocks_of(picture, origin):
+            rgba = np.array(block, np.float32).reshape(-1, place.height, place.width, 4)
+            np.clip(rgba[..., 3], 0, 1, out=rgba[..., 3])
+            total += measures_of(rules, checked, rgba, (place.x, place.y))[0]
     return total

@@ -83,11 +83,12 @@ class ReferenceEngine:
         for layer in strip.strips:
             inside = cropped(layer, strip.width, strip.height)
             rgba, _ = linear_rgba(inside)
-            layers.append(spread(rgba, inside.left, inside.top, strip.width, strip.height))
-        summary, provenance = summary_of(strip.rules, strip.settings, layers, strip.bins)
-        if not strip.with_provenance:
-            return summary, None
-        return summary, provenance.reshaped((strip.height, strip.width))
+            placed = spread(rgba, inside.left, inside.top, strip.width, strip.height)
+            layers.append(placed.reshape(strip.height, strip.width, 4))
+        summary, provenance = summary_of(
+            strip.rules, strip.settings, layers, strip.bins, strip.origin
+        )
+        return summary, provenance if strip.with_provenance else None
 
 
 ENGINE = ReferenceEngine()

@@ -9,7 +9,7 @@ to exactly the whole. No files here; planes first, as in `terms`.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
 from functools import reduce
 from typing import Any, Self
@@ -24,6 +24,7 @@ from ..blending.terms import weighted
 from ..color.gamut import bounds_of, colors_within
 from ..color.planes import cross_and_dot, is_saturated, length, ratio, spread_and_size
 from ..errors import SettingError
+from ..geometry import Window
 from .defaults import (
     DEFAULT_ACHROMATIC,
     check_achromatic,
@@ -223,7 +224,7 @@ class StackMeasures(Sums):
 
 @dataclass(frozen=True)
 class Provenance:
-    """Where each pixel's hue comes from, (pixels) each.
+    """Where each pixel's hue comes from, planes of one shape.
 
     `layer`: uint32, the number plus 1 of the layer whose hue survived, 0 for none: that of the
     largest |t| among those within the foreign tolerance of the result. `grey`: 1 − |p| / Σ|t|, the
@@ -244,38 +245,47 @@ class Provenance:
             np.zeros(shape, np.uint32), np.zeros(shape, np.float32), np.zeros(shape, np.float32)
         )
 
-    def reshaped(self, shape: tuple[int, ...]) -> Provenance:
-        """The same pixels in another shape."""
-        return Provenance(
-            layer=self.layer.reshape(shape),
-            grey=self.grey.reshape(shape),
-            margin=self.margin.reshape(shape),
-        )
-
 
 # --- pixels ---------------------------------------------------------------------------------------
 
 
 def measures_of(
-    rules: StackRules, settings: MeasureSettings, layers: Sequence[Array] | Array
+    rules: StackRules,
+    settings: MeasureSettings,
+    layers: Sequence[Array] | Array,
+    origin: tuple[int, int] = (0, 0),
 ) -> tuple[StackMeasures, Provenance]:
-    """The measures of some pixels and their provenance.
+    """The measures of some rows of a picture, and their provenance (height, width).
 
-    `layers`: (layers, pixels, 4) float32, linear, premultiplied, placed, alpha in [0, 1].
+    `layers`: (layers, height, width, 4) float32, linear, premultiplied, placed, alpha in [0, 1].
+    `origin`: x and y of their first pixel, counted from the canvas' corner.
     """
-    n_pixels = len(layers[0])
-    provenance = Provenance.none((n_pixels,))
+    height, width = layers[0].shape[:2]
+    provenance = Provenance.none((height, width))
     total = StackMeasures.none(rules, settings)
-    for begin in range(0, n_pixels, BLOCK_PIXELS):
-        block = slice(begin, min(begin + BLOCK_PIXELS, n_pixels))
+    for place, block in blocks_of(layers, origin):
         with np.errstate(all="ignore"):  # what is not finite is left out below
-            pixels = contributors(rules, [layer[block] for layer in layers])
+            pixels = contributors(rules, block)
         measures, winners = _block_measures(rules, settings, pixels)
         total += measures
-        where = np.arange(block.start, block.stop)[pixels.known]
+        within = place.moved(-origin[0], -origin[1]).slices
+        known = pixels.known.reshape(place.height, place.width)
         for name, values in vars(winners).items():
-            getattr(provenance, name)[where] = values
+            getattr(provenance, name)[within][known] = values
     return total, provenance
+
+
+def blocks_of(
+    layers: Sequence[Array] | Array, origin: tuple[int, int]
+) -> Iterator[tuple[Window, list[Array]]]:
+    """Where each block lies, counted as `origin` is, and its (pixels, 4) of every layer.
+
+    `layers`, `origin`: as in `measures_of`. A block has up to `BLOCK_PIXELS`.
+    """
+    height, width = layers[0].shape[:2]
+    for place in Window(*origin, width, height).blocks(BLOCK_PIXELS):
+        rows, columns = place.moved(-origin[0], -origin[1]).slices
+        yield place, [layer[rows, columns].reshape(-1, 4) for layer in layers]
 
 
 @dataclass(frozen=True)
@@ -325,7 +335,7 @@ class Contributors:
 
 
 def contributors(rules: StackRules, layers: Sequence[Array]) -> Contributors:
-    """The contributors to pixels of a stack; `layers` as in `measures_of`."""
+    """The contributors to pixels of a stack; `layers`: (layers, pixels, 4) as in `measures_of`."""
     terms = weighted(rules, rules.space, layers)
     luminance, p, alpha = terms.luminance, terms.p, terms.alpha
     rgb, limits = None, terms.bounds

@@ -18,11 +18,11 @@ from ..color.samples import Strip
 from .defaults import DEFAULT_BINS
 from .histogram import HueHistogram, hue_histogram
 from .labels import (
-    BLOCK_PIXELS,
     MeasureSettings,
     Provenance,
     StackMeasures,
     Sums,
+    blocks_of,
     contributors,
     measures_of,
     summed,
@@ -59,15 +59,12 @@ def summary_of(
     settings: MeasureSettings,
     layers: Sequence[Array],
     bins: int = DEFAULT_BINS,
+    origin: tuple[int, int] = (0, 0),
 ) -> tuple[StackSummary, Provenance]:
-    """The summary of some pixels, and their provenance.
-
-    `layers`: (layers, pixels, 4) float32, linear, premultiplied, placed, alpha in [0, 1].
-    """
-    measures, provenance = measures_of(rules, settings, layers)
+    """The summary of some rows of a picture, and their provenance; arguments as `measures_of`."""
+    measures, provenance = measures_of(rules, settings, layers, origin)
     total = StackSummary.none(rules, settings, bins)
-    for begin in range(0, len(layers[0]), BLOCK_PIXELS):
-        block = [layer[begin : begin + BLOCK_PIXELS] for layer in layers]
+    for _, block in blocks_of(layers, origin):
         with np.errstate(all="ignore"):  # NaN and Inf are counted, not judged
             total += _histograms(rules, settings, block, bins)
     return StackSummary(measures, total.layers, total.result, total.traditional), provenance
@@ -78,6 +75,7 @@ class StripToMeasure:
     """All layers of a strip, bottom first, and what is to be found of them.
 
     `width`, `height`: of the strip, in pixels. `with_provenance`: whether that is wanted.
+    `origin`: x and y of its first pixel, counted from the canvas' corner.
     """
 
     rules: StackRules
@@ -87,6 +85,7 @@ class StripToMeasure:
     width: int
     height: int
     with_provenance: bool = False
+    origin: tuple[int, int] = (0, 0)
 
 
 def _histograms(

@@ -166,6 +166,7 @@ class Recorder:
             rows.width,
             rows.height,
             with_provenance=self._provenance is not None or self._preview is not None,
+            origin=(rows.x - self._canvas.x, rows.y - self._canvas.y),
         )
         samples, summary, provenance = engine.result_and_summary(
             accumulator, form.kind, losses, form.gamut, strip

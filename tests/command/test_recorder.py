@@ -355,8 +355,8 @@ def expected_provenance(here, half_step, **rules):
     """(h, w) planes of the reference on arrays."""
     checked = stack_rules(3, opacity=OPACITIES, **rules)
     settings = measures.measure_settings(checked, half_step=half_step)
-    _, found = measures.measures_of(checked, settings, arrays(here).reshape(3, -1, 4))
-    return {name: plane.reshape(HEIGHT, WIDTH) for name, plane in vars(found).items()}
+    _, found = measures.measures_of(checked, settings, arrays(here))
+    return vars(found)
 
 
 @pytest.mark.parametrize("order", ORDERS)

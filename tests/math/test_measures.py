@@ -36,8 +36,9 @@ def measured(layers, **settings):
 def provenance(layers, op="plus", half_step=measures.HALF_STEP_FINE, **settings):
     rules = stack_rules(len(layers), op=[None, *[op] * (len(layers) - 1)], **settings)
     chosen = measures.measure_settings(rules, half_step=half_step)
-    arrays = np.array(layers, np.float32)
-    return measures.measures_of(rules, chosen, arrays)[1]
+    row = np.array(layers, np.float32)[:, None]
+    planes = measures.measures_of(rules, chosen, row)[1]
+    return measures.Provenance(planes.layer[0], planes.grey[0], planes.margin[0])
 
 
 # ---- closed forms ------------------------------------------------------------------------------
@@ -171,10 +172,10 @@ def test_the_background_contributes_and_has_no_number():
     where = measures.measures_of(
         stack_rules(1, background=background),
         measures.measure_settings(stack_rules(1)),
-        np.array([layer], np.float32),
+        np.array([[layer]], np.float32),
     )[1]
-    assert (where.layer[0], where.margin[0]) == (0, 0)
-    assert where.grey[0] == pytest.approx(1 - 0.05 / 0.25, abs=NEAR)
+    assert (where.layer[0, 0], where.margin[0, 0]) == (0, 0)
+    assert where.grey[0, 0] == pytest.approx(1 - 0.05 / 0.25, abs=NEAR)
 
 
 def test_exposure_is_left_out():
@@ -335,16 +336,27 @@ def test_parts_add_up_to_the_whole_exactly(stack, data):
     assert below + above == above + below == whole
 
 
+@pytest.mark.parametrize("shape", [(24, 4), (4, 6, 4), (2, 3, 4, 4), (2, 1, 12, 4)])
+def test_leading_axes_are_further_pictures(shape):
+    layers = np.random.default_rng(4).random((3, *shape)).astype(np.float32)
+    found = hpcomp.stack_measures(layers, background=(0.2, 0.1, 0.4))
+    one_by_one = layers.reshape(3, -1, 1, 4)
+    parts = [hpcomp.stack_measures(pixel, background=(0.2, 0.1, 0.4)) for pixel in one_by_one.swapaxes(0, 1)]
+    assert found.pixels == 24
+    assert found.result.light == sum(parts[1:], parts[0]).result.light
+    assert found.result.chroma == sum(parts[1:], parts[0]).result.chroma
+
+
 def test_blocks_do_not_show(monkeypatch):
     random = np.random.default_rng(5)
     layers = random.random((3, 101, 4)).astype(np.float32)
     layers[1, 7] = np.nan
     whole = hpcomp.stack_measures(layers)
     rules = stack_rules(3)
-    planes = measures.measures_of(rules, measures.measure_settings(rules), layers)[1]
+    planes = measures.measures_of(rules, measures.measure_settings(rules), layers[:, None])[1]
     monkeypatch.setattr(measures, "BLOCK_PIXELS", 8)
     assert hpcomp.stack_measures(layers) == whole
-    blocks = measures.measures_of(rules, measures.measure_settings(rules), layers)[1]
+    blocks = measures.measures_of(rules, measures.measure_settings(rules), layers[:, None])[1]
     for name, plane in vars(planes).items():
         assert np.array_equal(plane, getattr(blocks, name)), name
 
@@ -498,7 +510,7 @@ def test_measures_and_provenance_agree_with_the_literal_ones(stack):
     n = len(layers)
     checked = stack_rules(n, **rules)
     settings = measures.measure_settings(checked, **own)
-    found, planes = measures.measures_of(checked, settings, layers)
+    found, planes = measures.measures_of(checked, settings, layers[:, None])
     pixels = [
         literal(
             [tuple(map(float, layers[i, x])) for i in range(n)],
@@ -536,11 +548,11 @@ def test_measures_and_provenance_agree_with_the_literal_ones(stack):
         for channel in range(3):
             light = sum(p["light"][channel] for p in theirs)
             assert ours.light[channel] * SUM_UNIT == pytest.approx(light, abs=5e-5)
-    assert planes.layer.tolist() == [pixel["layer"] for pixel in pixels]
+    assert planes.layer[0].tolist() == [pixel["layer"] for pixel in pixels]
     for x, pixel in enumerate(pixels):
         if pixel["layer"]:
-            assert planes.grey[x] == pytest.approx(pixel["grey"], abs=5e-3)
-            assert planes.margin[x] == pytest.approx(pixel["margin"], abs=5e-3 * (1 + abs(pixel["margin"])))
+            assert planes.grey[0, x] == pytest.approx(pixel["grey"], abs=5e-3)
+            assert planes.margin[0, x] == pytest.approx(pixel["margin"], abs=5e-3 * (1 + abs(pixel["margin"])))
 
 
 # ---- settings and reports ------------------------------------------------------------------------

@@ -307,8 +307,8 @@ def test_findings_are_those_of_measures_and_histograms(name):
     for histogram, layer, opacity in zip(found.layers, LAYERS, rules.opacities, strict=True):
         assert histogram == hue_histogram(layer * np.float32(opacity), bins=90)
     if name == "reference":
-        flat = LAYERS.reshape(4, -1, 4)
-        assert found.measures == measures.measures_of(rules, settings, flat)[0]
+        rows = LAYERS.reshape(4, 3, 700, 4)
+        assert found.measures == measures.measures_of(rules, settings, rows)[0]
 
 
 def test_the_engine_that_is_chosen_finds(monkeypatch):

@@ -59,16 +59,14 @@ def report_of(
 ) -> StackReport:
     """The report of a stack of arrays, as the pipeline makes it of files."""
     checked = stack_rules(len(layers), **rules)
-    flat = [layer.reshape(-1, 4) for layer in layers]
-    summary, provenance = summary_of(checked, measure_settings(checked), flat, bins)
-    shape = layers[0].shape[:2]
+    summary, provenance = summary_of(checked, measure_settings(checked), layers, bins)
 
     def shown(blending: str) -> np.ndarray:
         composited = hpcomp.composite(layers, **{**rules, "blending": blending})
         return to_straight_srgb(composited, np.uint8, Losses())
 
     pictures = Preview(
-        shown(checked.blending.name), shown("traditional"), provenance.layer.reshape(shape), 4
+        shown(checked.blending.name), shown("traditional"), provenance.layer, 4
     )
     return StackReport(
         output="map.png",
