@@ -62,25 +62,31 @@ class Window:
         """Its rows and columns, of an array that begins where coordinates do."""
         return slice(self.y, self.bottom), slice(self.x, self.right)
 
-    def strips(self, rows: int) -> Iterator[Window]:
-        """Its rows from the top, so many at a time."""
-        for top, bottom in _pieces(self.y, self.bottom, rows):
+    def strips(self, rows: int, missing: int = 0) -> Iterator[Window]:
+        """Its rows from the top, so many at a time; the first ones are fewer by what is missing."""
+        for top, bottom in _pieces(self.y, self.bottom, rows, missing):
             yield Window(self.x, top, self.width, bottom - top)
 
-    def blocks(self, pixels: int) -> Iterator[Window]:
-        """All of it in blocks of up to so many pixels: of whole rows, or of parts of one row."""
-        for rows in self.strips(max(1, pixels // max(1, self.width))):
-            for left, right in _pieces(self.x, self.right, pixels):
-                yield Window(left, rows.y, right - left, rows.height)
+    def blocks(self, pixels: int, cell: int = 1) -> Iterator[Window]:
+        """All of it in blocks of up to so many pixels: of whole rows, or else of parts of a few.
+
+        Every cell, a square of that side between multiples of it, is in one block, and a block has
+        one at least.
+        """
+        rows = max(cell, pixels // max(1, self.width) // cell * cell)
+        columns = max(cell, pixels // min(rows, max(1, self.height)) // cell * cell)
+        for strip in self.strips(rows, self.y % cell):
+            for left, right in _pieces(self.x, self.right, columns, self.x % cell):
+                yield Window(left, strip.y, right - left, strip.height)
 
     def contains(self, other: Window) -> bool:
         return self.intersection(other) == other
 
 
-def _pieces(begin: int, end: int, size: int) -> Iterator[tuple[int, int]]:
-    """Begins and ends of pieces of that size; the last may be shorter."""
-    for at in range(begin, end, size):
-        yield at, min(at + size, end)
+def _pieces(begin: int, end: int, size: int, missing: int) -> Iterator[tuple[int, int]]:
+    """Begins and ends of pieces of that size; the first lacks what is missing at its begin."""
+    for at in range(begin - missing, end, size):
+        yield max(at, begin), min(at + size, end)
 
 
 def _between(left: int, top: int, right: int, bottom: int) -> Window:

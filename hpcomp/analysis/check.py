@@ -34,6 +34,8 @@ from ..layers.layerspec import LayerSpec, check_stdin, layer_spec
 from ..layers.notices import Notices, warn_of_problems, warn_of_ramps, warn_of_samples
 from ..layers.opening import opened_layer
 from ..layers.placing import Layer, PlacedLayer, layer_specs, opened_stack, rules_of
+from ..measures.cells import Cells, cells_of, pixels_seen
+from ..measures.defaults import CELL
 from ..measures.labels import (
     BLOCK_PIXELS,
     HALF_STEP_8_BIT,
@@ -101,15 +103,21 @@ class ExpectedHue:
 class LabelSums(Sums):
     """`pixels` in which a label could be seen, and `shown`: those in which its hue is.
 
-    A layer could be seen where it contributes, a hue in every chromatic pixel.
+    A layer could be seen where it contributes, a hue in every chromatic pixel. `visible`: those of
+    `pixels` in cells of the canvas where a pixel is shown, so that a reader finds it there.
     """
 
     pixels: int = 0
     shown: int = 0
+    visible: int = 0
 
     @property
     def share(self) -> float:
         return share(self.shown, self.pixels)
+
+    @property
+    def visible_share(self) -> float:
+        return share(self.visible, self.pixels)
 
 
 @dataclass(frozen=True)
@@ -331,7 +339,8 @@ def check(
         placed = _placed_picture(reader, picture, None if stack is None else stack.canvas)
         below = () if stack is None else stack.layers
         gauge = _Gauge(rules, settings, labels, listed)
-        sums = _measured(placed, below, gauge, checked.resources)
+        canvas = reader.part.display_window if stack is None else stack.canvas
+        sums = _measured(placed, below, canvas, gauge, checked.resources)
         warn_of_samples([placed.reader, *(layer.reader for layer in below)], notices)
     crossing = tuple(ramps(sums.meetings, rules.hue_tolerance))
     warn_of_ramps(crossing, specs, rules.hue_tolerance, notices)
@@ -395,11 +404,16 @@ def _placed_picture(reader: LayerReader, spec: LayerSpec, canvas: Window | None)
 
 
 def _measured(
-    picture: PlacedLayer, layers: Sequence[PlacedLayer], gauge: _Gauge, granted: ResourceOptions
+    picture: PlacedLayer,
+    layers: Sequence[PlacedLayer],
+    canvas: Window,
+    gauge: _Gauge,
+    granted: ResourceOptions,
 ) -> CheckSums:
     """The sums of the whole picture, whose strips are read and measured side by side.
 
-    Errors: `InputError`, `MismatchError`, also where too little memory is granted.
+    `canvas`: from whose corner cells are counted. Errors: `InputError`, `MismatchError`, also where
+    too little memory is granted.
     """
     files = [picture, *layers]
     readers = [file.reader for file in files]
@@ -412,12 +426,14 @@ def _measured(
         granted,
         lambda threads: Budget.of_measuring(readers, threads, measuring),
         "this check",
-        max(STRIP_ROWS, min(STRIP_PIXELS // window.width, for_each_thread)),
+        cell=CELL,
+        wanted=max(STRIP_ROWS, min(STRIP_PIXELS // window.width, for_each_thread)),
     )
     log.info("checking %s in strips of %d rows, %d threads", window, rows, threads)
 
-    def read(strip: Window) -> list[Strip]:
-        return [file.read_checked(strip) for file in files]
+    def read(strip: Window) -> tuple[Window, list[Strip]]:
+        place = strip.moved(-canvas.x, -canvas.y)
+        return place, [file.read_checked(strip) for file in files]
 
     sums = gauge.none
     with (
@@ -425,7 +441,8 @@ def _measured(
         ThreadPipeline[CheckSums](threads) as pipeline,
     ):
         # One source: PNGs are read from the top.
-        reads = ((0, partial(read, strip)) for strip in window.strips(rows))
+        strips = window.strips(rows, (window.y - canvas.y) % CELL)
+        reads = ((0, partial(read, strip)) for strip in strips)
         for part in pipeline.read_ahead(reads, partial(gauge.of_strip, go_on=pipeline.go_on)):
             sums += part
     return sums
@@ -529,20 +546,30 @@ class _Gauge:
         """Pixels that are measured at a time, of fewer the more terms each has."""
         return min(BLOCK_PIXELS, max(FEWEST_PIXELS, BLOCK_TERMS // self._terms))
 
-    def of_strip(self, strips: Sequence[Strip], go_on: Callable[[], None]) -> CheckSums:
-        """The sums of a strip: of the picture, which fills it, and of each layer, or none."""
-        picture, *layers = strips
-        height, width = picture.samples.shape[:2]
+    def of_strip(
+        self, strip: tuple[Window, Sequence[Strip]], go_on: Callable[[], None]
+    ) -> CheckSums:
+        """The sums of a strip: of the picture, which fills it, and of each layer, or none.
+
+        `strip`: where it lies, counted from the canvas' corner, and the strips of these.
+        """
+        window, (picture, *layers) = strip
         sums = self.none
-        for block in Window(0, 0, width, height).blocks(self.block_pixels):
+        for place in window.blocks(self.block_pixels, CELL):
             go_on()
+            block = place.moved(-window.x, -window.y)
             samples = part_of(picture, block).samples.reshape(-1, picture.samples.shape[2])
             colors = [_colors(layer, block) for layer in layers]
-            sums += self.measured(samples, picture.decoding, colors)
+            sums += self.measured(samples, picture.decoding, colors, cells_of(place))
         return sums
 
-    def measured(self, samples: Samples, decoding: Decoding, layers: Sequence[Rgba]) -> CheckSums:
-        """`samples`: (n, channels) of the picture, as stored. `layers`: (n, 4) each, or none."""
+    def measured(
+        self, samples: Samples, decoding: Decoding, layers: Sequence[Rgba], cells: Cells
+    ) -> CheckSums:
+        """`samples`: (n, channels) of the picture, as stored. `layers`: (n, 4) each, or none.
+
+        `cells` (n): which cell each pixel lies in.
+        """
         step = HALF_STEP_8_BIT if samples.dtype == np.uint8 else HALF_STEP_FINE
         settings = replace(self.settings, half_step=step)
         with np.errstate(all="ignore"):  # what is not finite is left out
@@ -559,7 +586,7 @@ class _Gauge:
                 )
             picture = self._picture(samples, rgba, settings).chosen(terms.known)
         return replace(
-            self._sums(picture, decoding, terms, settings),
+            self._sums(picture, decoding, terms, settings, cells[terms.known]),
             pixels=len(samples),
             unmeasured=count(~terms.known),
         )
@@ -592,6 +619,7 @@ class _Gauge:
         decoding: Decoding,
         terms: Contributors,
         settings: MeasureSettings,
+        cells: Cells,
     ) -> CheckSums:
         support = Support.of(picture.p, terms, settings)
         unmatched = np.flatnonzero(picture.chromatic & ~support.has_hue)
@@ -603,7 +631,7 @@ class _Gauge:
         total = terms.total()
         of_layers = not self.hues
         return CheckSums(
-            tuple(self._label_sums(label, picture, terms, fit) for label in self.labels),
+            tuple(self._label_sums(label, picture, terms, fit, cells) for label in self.labels),
             visible=count(picture.visible),
             chromatic=count(picture.chromatic),
             chroma=in_units(picture.size[picture.chromatic]),
@@ -615,7 +643,7 @@ class _Gauge:
         )
 
     def _label_sums(
-        self, label: ExpectedHue, picture: _Picture, terms: Contributors, fit: _Fit
+        self, label: ExpectedHue, picture: _Picture, terms: Contributors, fit: _Fit, cells: Cells
     ) -> LabelSums:
         if label.number is None:
             assert label.hue is not None
@@ -624,7 +652,8 @@ class _Gauge:
         else:
             p = terms.p[label.number]
             could = terms.size[label.number] > fit.half_step
-        return LabelSums(count(could), count(could & picture.chromatic & fit.shows(picture, p)))
+        shown = could & picture.chromatic & fit.shows(picture, p)
+        return LabelSums(count(could), count(shown), pixels_seen(could, shown, cells))
 
 
 @dataclass(frozen=True)

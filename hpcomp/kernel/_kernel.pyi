@@ -61,6 +61,7 @@ class HueSums:
 class ContributorSums:
     pixels: int
     survived: int
+    visible: int
     chroma: int
     kept: int
 
@@ -171,6 +172,8 @@ def measures(
     layers: int,
     width: int,
     height: int,
+    left: int,
+    top: int,
     bins: int,
     half_step: float,
     achromatic: float,

@@ -45,6 +45,8 @@ struct Block {
     int *active, actives;   // the terms that are anything here
     bool small;             // whether no sum of sizes is more than `kSmallAddend`
     const float *luminance, *total, *alpha;
+    Cell *cells;            // (layers + 1, cell_columns): from that of the first pixel on
+    int cell_columns, cell_left;  // how far inside of its cell that pixel is
 
     const float *x(int k) const { return p + int64_t(k) * 2 * kBlock; }
     const float *y(int k) const { return x(k) + kBlock; }
@@ -106,21 +108,47 @@ void winners(const Block &block, const Support &support, Row winner, Row size) {
     }
 }
 
+// Pixels of a block that are so, as bytes of 0 and 1 in whole cells.
+struct CellMask {
+    uint8_t bytes[kBlock + 2 * kCell] = {};
+};
+
+// Calls `take(cell, pixels)` for each cell in which the mask of a block holds; returns for how many pixels.
+template <class Take> HPCOMP_INLINE int count_in_cells(const Block &block, const CellMask &mask, Take take) {
+    constexpr uint64_t kOnes = 0x0101010101010101u;
+    int all = 0;
+    for (int begin = 0, cell = 0; begin < block.cell_left + block.n; begin += kCell, ++cell) {
+        uint64_t halves[2];
+        static_assert(sizeof halves == kCell);
+        std::memcpy(halves, mask.bytes + begin, kCell);
+        const int pixels = int(((halves[0] + halves[1]) * kOnes) >> 56);
+        if (pixels == 0) continue;
+        take(cell, pixels);
+        all += pixels;
+    }
+    return all;
+}
+
 // Adds what the terms are, whatever becomes of them.
 void add_terms(const Block &block, ContributorSums *sums) {
     const float half_step = block.measures.half_step;
+    const int n = block.n;
+    CellMask contributes;
+    uint8_t *const mask = contributes.bytes + block.cell_left;
     for (int a = 0; a < block.actives; ++a) {
         const int k = block.active[a];
-        const float *size = block.size + k * kBlock;
-        int pixels = 0;
-        for (int i = 0; i < block.n; ++i) pixels += size[i] > half_step;
-        sums[k].pixels += pixels;
-        sums[k].chroma += sum_of(size, block.n, block.small);
+        ConstRow size = block.size + k * kBlock;
+        for (int i = 0; i < n; ++i) mask[i] = size[i] > half_step;
+        Cell *const cells = block.cells + int64_t(k) * block.cell_columns;
+        sums[k].pixels += count_in_cells(block, contributes, [=](int cell, int pixels) {
+            cells[cell].pixels = uint16_t(cells[cell].pixels + pixels);
+        });
+        sums[k].chroma += sum_of(size, n, block.small);
     }
 }
 
-// Measures one result of the block; fills `chromatic`.
-void measure_result(const Block &block, ConstRow p0, ConstRow p1, const Support &support,
+// Measures result `which` of the block; fills `chromatic`.
+void measure_result(const Block &block, int which, ConstRow p0, ConstRow p1, const Support &support,
                     ResultSums *sums, ContributorSums *contributors, Hues hues, Row chromatic) {
     const Rules rules = block.rules;
     const float half_step = block.measures.half_step, achromatic = block.measures.achromatic;
@@ -140,7 +168,6 @@ void measure_result(const Block &block, ConstRow p0, ConstRow p1, const Support 
         of_others[i] = part_of(support.size[i] - support.backing[i], total[i] - support.backing[i]);
     }
     const bool small = add_hues(block.measures, n, red, green, blue, block.alpha, support.size, hues);
-    add_terms(block, contributors);
     sums->chromatic += count_of(chromatic, n);
     sums->chroma += sum_of(values, n, block.small);
     const int64_t foreigners = count_of(foreign, n);
@@ -154,15 +181,19 @@ void measure_result(const Block &block, ConstRow p0, ConstRow p1, const Support 
         for (int i = 0; i < n; ++i) values[i] = larger(channels[channel][i], 0.0f);
         sums->light[channel] += sum_of(values, n, small);
     }
+    CellMask survives;
+    uint8_t *const mask = survives.bytes + block.cell_left;
     for (int a = 0; a < block.actives; ++a) {
         const int k = block.active[a];
         ConstRow size = block.size + k * kBlock, near = block.near + k * kBlock;
-        int survived = 0;
         for (int i = 0; i < n; ++i) {
-            survived += (size[i] > half_step) & (chromatic[i] * near[i] != 0);
+            mask[i] = (size[i] > half_step) & (chromatic[i] * near[i] != 0);
             values[i] = size[i] * (near[i] != 0 ? of_near[i] : of_others[i]);
         }
-        contributors[k].survived += survived;
+        Cell *const cells = block.cells + int64_t(k) * block.cell_columns;
+        contributors[k].survived += count_in_cells(block, survives, [=](int cell, int) {
+            cells[cell].shown = uint16_t(cells[cell].shown | 1u << which);
+        });
         contributors[k].kept += sum_of(values, n, block.small);
     }
 }
@@ -391,19 +422,23 @@ void observe_block(void *self, int column, int row, int n) {
             alpha[i] = 1;
         }
     }
+    const Cells &cells = of.found->cells;
+    const int x = cells.left + column, y = cells.top + of.top + row;
+    Cell *const first_cell = cells.first + int64_t(y / kCell) * (count + 1) * cells.columns + x / kCell;
     Block block{rules, *of.measures, of.layers, n, count, p, scratch.size, scratch.near, scratch.active,
-                0, false, sum, total, alpha};
+                0, false, sum, total, alpha, first_cell, cells.columns, x % kCell};
     if (!find_active(block, luminance, total)) {
         of.found->unmeasured += take_out_unknown(count + 1, n, p, luminance, sum, alpha);
         std::memset(luminance, 0, size_t(count + 1) * sizeof(Plane));
         find_active(block, luminance, total);
     }
 
+    add_terms(block, of.found->contributors + int64_t(kBothResults) * (count + 1));
     Plane p0, p1, chromatic;
     Support support;
     const auto measure_as = [&](int which) {
         support_of(block, p0, p1, &support);
-        measure_result(block, p0, p1, support, of.found->results + which,
+        measure_result(block, which, p0, p1, support, of.found->results + which,
                        of.found->contributors + int64_t(which) * (count + 1),
                        hues_of(of, count + which), chromatic);
     };

@@ -27,7 +27,19 @@ struct ResultSums {
     int64_t chromatic, chroma, foreign, foreign_chroma, light[3];
 };
 struct ContributorSums {
-    int64_t pixels, survived, chroma, kept;
+    int64_t pixels, survived, visible, chroma, kept;  // `visible` is summed from the cells
+};
+
+// Cells of the canvas in which a label is looked for, a square each: pixels to which a term contributes, and
+// of which results one of them has its hue, a bit for each `Result`.
+constexpr int kCell = 16;
+struct Cell {
+    uint16_t pixels, shown;
+};
+struct Cells {
+    Cell *first;    // (rows, layers + 1, columns)
+    int columns;    // that the strip touches
+    int left, top;  // where in its cell the strip's first pixel is
 };
 
 // The values of each pixel, where they are wanted; else null.
@@ -47,6 +59,7 @@ struct Measures {
     int64_t *hues;                  // (layers + kResults, bins, kHueColumns): the layers', then the results'
     OtherPixels *others;            // (layers + kResults)
     Provenance provenance;
+    Cells cells;
 };
 
 // Floats of scratch for `n` layers.

@@ -29,6 +29,8 @@ class StripMeasures:
             layers=len(strip.strips),
             width=strip.width,
             height=strip.height,
+            left=strip.origin[0],
+            top=strip.origin[1],
             bins=strip.bins,
             half_step=settings.half_step,
             achromatic=settings.achromatic,
@@ -86,5 +88,9 @@ def _result_measures(sums: _kernel.ResultSums) -> ResultMeasures:
 
 def _contributor(sums: _kernel.ContributorSums) -> ContributorMeasures:
     return ContributorMeasures(
-        pixels=sums.pixels, survived=sums.survived, chroma=sums.chroma, kept=sums.kept
+        pixels=sums.pixels,
+        survived=sums.survived,
+        visible=sums.visible,
+        chroma=sums.chroma,
+        kept=sums.kept,
     )

@@ -37,6 +37,9 @@ constexpr int kBandPixels = 1 << 12;
 // Far below where sums of coordinates leave an int.
 constexpr int64_t kFarthest = int64_t(1) << 29;
 
+// Cells of all terms of a strip: far more than memory holds, far less than an int64 counts.
+constexpr int64_t kMostCells = int64_t(1) << 48;
+
 int checked_coordinate(int64_t value) {
     if (value < -kFarthest || value > kFarthest) throw nb::value_error("coordinate out of range");
     return int(value);
@@ -295,23 +298,35 @@ struct StripMeasures {
     int64_t layers, width, height;
     std::vector<ResultSums> results;
     std::vector<ContributorSums> contributors;
+    std::vector<Cell> cells;
     std::vector<int64_t> hues;
     std::vector<OtherPixels> others;
     std::optional<ProvenancePlanes> provenance;
 };
 
-std::unique_ptr<StripMeasures> make_measures(int64_t layers, int64_t width, int64_t height, int64_t bins,
-                                             float half_step, float achromatic, float foreign_sine,
-                                             float foreign_cosine, bool depends_on_order,
+// Where in its cell a coordinate of the canvas is.
+int within_cell(int64_t coordinate) { return int((coordinate % kCell + kCell) % kCell); }
+
+std::unique_ptr<StripMeasures> make_measures(int64_t layers, int64_t width, int64_t height, int64_t left,
+                                             int64_t top, int64_t bins, float half_step, float achromatic,
+                                             float foreign_sine, float foreign_cosine, bool depends_on_order,
                                              const ProvenancePlanes *provenance) {
     if (layers < 1 || layers > (1 << 20)) throw nb::value_error("a stack needs layers");
-    if (width < 1 || height < 1) throw nb::value_error("a strip needs pixels");
+    if (checked_coordinate(width) < 1 || checked_coordinate(height) < 1)
+        throw nb::value_error("a strip needs pixels");
     if (bins < 1 || bins > (1 << 16)) throw nb::value_error("hues need bins");
     auto made = std::make_unique<StripMeasures>();
     made->rules = {half_step, achromatic, foreign_sine, foreign_cosine, depends_on_order, int(bins)};
     made->layers = layers, made->width = width, made->height = height;
     made->results.resize(kResults);
     made->contributors.resize(size_t(kResults * (layers + 1)));
+    Cells &cells = made->found.cells;
+    cells.left = within_cell(left), cells.top = within_cell(top);
+    cells.columns = int((cells.left + width - 1) / kCell) + 1;
+    const int64_t cell_rows = (cells.top + height - 1) / kCell + 1;
+    if (cell_rows > kMostCells / (layers + 1) / cells.columns) throw nb::value_error("a strip of too many cells");
+    made->cells.resize(size_t(cell_rows * (layers + 1) * cells.columns));
+    cells.first = made->cells.data();
     made->hues.resize(size_t((layers + kResults) * bins * kHueColumns));
     made->others.resize(size_t(layers + kResults));
     made->found.results = made->results.data();
@@ -391,6 +406,11 @@ template <Result kWhich> ResultFound found_of(const StripMeasures &of) {
             ++added;
         }
     }
+    const size_t columns = size_t(of.found.cells.columns);
+    for (auto cell = of.cells.begin(); cell != of.cells.end();)
+        for (ContributorSums &sums : found.contributors)
+            for (size_t column = 0; column < columns; ++column, ++cell)
+                if (cell->shown & (1u << kWhich | 1u << kBothResults)) sums.visible += cell->pixels;
     return found;
 }
 
@@ -714,6 +734,7 @@ NB_MODULE(_kernel, module) {
     nb::class_<ContributorSums>(module, "ContributorSums")
         .def_ro("pixels", &ContributorSums::pixels)
         .def_ro("survived", &ContributorSums::survived)
+        .def_ro("visible", &ContributorSums::visible)
         .def_ro("chroma", &ContributorSums::chroma)
         .def_ro("kept", &ContributorSums::kept);
     nb::class_<ResultFound>(module, "ResultSums")
@@ -736,9 +757,9 @@ NB_MODULE(_kernel, module) {
         .def("layer_hues", &hues_of_layer, nb::kw_only(), "number"_a)
         .def_prop_ro("result_hues", &hues_of_result<kAsBlended>)
         .def_prop_ro("traditional_hues", &hues_of_result<kTraditional>);
-    module.def("measures", &make_measures, nb::kw_only(), "layers"_a, "width"_a, "height"_a, "bins"_a,
-               "half_step"_a, "achromatic"_a, "foreign_sine"_a, "foreign_cosine"_a, "depends_on_order"_a,
-               "provenance"_a.none());
+    module.def("measures", &make_measures, nb::kw_only(), "layers"_a, "width"_a, "height"_a, "left"_a,
+               "top"_a, "bins"_a, "half_step"_a, "achromatic"_a, "foreign_sine"_a, "foreign_cosine"_a,
+               "depends_on_order"_a, "provenance"_a.none());
     module.def("keep_runs", &keep_runs, nb::kw_only(), "rules"_a, "counts"_a.noconvert(), "p"_a.noconvert(),
                "kept"_a.noconvert());
     module.def("measure", &measure, nb::kw_only(), "rules"_a, "layers"_a, "measures"_a, "level"_a = "");

@@ -58,7 +58,7 @@ class Budget:
         if least > max_memory:
             raise MismatchError(
                 f"{what} needs at least {-(-least // 2**20)}M"
-                + (f", as a file is stored {block} rows at a time" if block > 1 else "")
+                + (f", in strips of {block} rows, the fewest there can be" if block > 1 else "")
                 + f": raise --max-memory, which is {max_memory / 2**20:.0f}M"
             )
         rows = (int(max_memory * USED_SHARE) - self.fixed) // self.per_row
@@ -77,18 +77,26 @@ def share_out(
     budget_of: Callable[[int], Budget],
     what: str,
     wanted: int | None = None,
+    *,
+    cell: int = 1,
 ) -> tuple[int, int]:
     """How many threads do the work, and how many of `height` rows are in memory at a time.
 
     More threads take more memory: there are no more of them than it has room for. `budget_of`: what
-    so many threads take. `wanted`: rows that are enough, `STRIP_ROWS` if None. Errors:
-    `MismatchError` that names the least memory in which it can be done, and `what` it is.
+    so many threads take. `wanted`: rows that are enough, `STRIP_ROWS` if None. `cell`: of what the
+    rows are a multiple. Errors: `MismatchError` that names the least memory in which it can be
+    done, and `what` it is.
     """
     memory = parse_bytes(granted.max_memory)
     threads = thread_count(granted.threads)
-    block = max(reader.rows_at_once for reader in readers)
+    block = _up(max(reader.rows_at_once for reader in readers), cell)
     while True:
         budget = budget_of(threads)
         if threads == 1 or budget.least(min(block, height)) <= memory:
-            return threads, budget.rows(block, height, memory, what, wanted or STRIP_ROWS)
+            rows = budget.rows(block, height, memory, what, wanted or STRIP_ROWS)
+            return threads, _up(rows, cell)
         threads -= 1
+
+
+def _up(rows: int, multiple: int) -> int:
+    return -(-rows // multiple) * multiple

@@ -20,6 +20,9 @@ FEWEST_BINS, MOST_BINS = 6, 3600
 #: The saturation below which a colour counts as grey.
 DEFAULT_ACHROMATIC = 0.02
 
+#: Side of the cells, in pixels, in which a label is seen if one pixel shows its hue.
+CELL = 16
+
 #: How the files of reports end: of each of their formats.
 REPORT_ENDINGS = (".txt", ".json", ".csv", ".svg", ".png", ".pdf", ".html")
 

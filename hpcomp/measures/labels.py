@@ -2,8 +2,8 @@
 
 A measure looks at the terms `t_i = w_i p_i` that a stack is reduced from, the background being one
 more, and at the chroma p that came of them: before it is quantised, and before the exposure.
-All tolerances are angles between p vectors. Sums are integers, so that parts of a picture add up
-to exactly the whole. No files here; planes first, as in `terms`.
+All tolerances are angles between p vectors. Sums are integers, so that parts of a picture that
+begin at borders of cells add up to exactly the whole. No files here; planes first, as in `terms`.
 """
 
 from __future__ import annotations
@@ -25,7 +25,9 @@ from ..color.gamut import bounds_of, colors_within
 from ..color.planes import cross_and_dot, is_saturated, length, ratio, spread_and_size
 from ..errors import SettingError
 from ..geometry import Window
+from .cells import Cells, cells_of, pixels_seen
 from .defaults import (
+    CELL,
     DEFAULT_ACHROMATIC,
     check_achromatic,
     check_energy_weights,
@@ -133,11 +135,13 @@ class ContributorMeasures(Sums):
     """What became of one layer, or of the background.
 
     `pixels`: where it contributes. `survived`: those of them where the result has its hue.
+    `visible`: those in cells where a pixel survived, so that a reader finds it there.
     `chroma`: Σ|t| of all pixels, and `kept` what of it is in the result, in `SUM_UNIT`.
     """
 
     pixels: int = 0
     survived: int = 0
+    visible: int = 0
     chroma: int = 0
     kept: int = 0
 
@@ -145,6 +149,11 @@ class ContributorMeasures(Sums):
     def survived_share(self) -> float:
         """The share of its pixels in which its hue survived."""
         return share(self.survived, self.pixels)
+
+    @property
+    def visible_share(self) -> float:
+        """The share of its pixels that lie in cells where it is seen."""
+        return share(self.visible, self.pixels)
 
     @property
     def lost(self) -> float:
@@ -180,6 +189,14 @@ class ResultMeasures(Sums):
         return share(self.foreign_chroma, self.chroma)
 
     @property
+    def visible_share(self) -> float:
+        """Of what all layers contribute to, pixel by pixel, the share in which they are seen."""
+        visible, pixels = (
+            sum(getattr(layer, name) for layer in self.layers) for name in ("visible", "pixels")
+        )
+        return share(visible, pixels)
+
+    @property
     def lost(self) -> float:
         """Lost to grey: the share of all chroma that blending cancelled."""
         whole = sum(self.layers, self.background)
@@ -198,6 +215,7 @@ class ResultMeasures(Sums):
 class StackMeasures(Sums):
     """The measures of a stack, of one picture or a part of it: `a + b` are those of both parts.
 
+    Parts of one picture begin at borders of cells: a cell in two parts counts as two.
     `pixels`: all of them; `unmeasured`: with NaN, infinite or beyond `LARGEST_MEASURED`, left out
     of the rest. `result`: by the blending and order of the stack; `traditional`: by plain +.
     `order_sensitive`: chromatic pixels of which another layer survives top-down than bottom-up.
@@ -266,7 +284,8 @@ def measures_of(
     for place, block in blocks_of(layers, origin):
         with np.errstate(all="ignore"):  # what is not finite is left out below
             pixels = contributors(rules, block)
-        measures, winners = _block_measures(rules, settings, pixels)
+        cells = cells_of(place)[pixels.known]
+        measures, winners = _block_measures(rules, settings, pixels, cells)
         total += measures
         within = place.moved(-origin[0], -origin[1]).slices
         known = pixels.known.reshape(place.height, place.width)
@@ -280,10 +299,11 @@ def blocks_of(
 ) -> Iterator[tuple[Window, list[Array]]]:
     """Where each block lies, counted as `origin` is, and its (pixels, 4) of every layer.
 
-    `layers`, `origin`: as in `measures_of`. A block has up to `BLOCK_PIXELS`.
+    `layers`, `origin`: as in `measures_of`. A block has up to `BLOCK_PIXELS`,
+    and begins at borders of cells.
     """
     height, width = layers[0].shape[:2]
-    for place in Window(*origin, width, height).blocks(BLOCK_PIXELS):
+    for place in Window(*origin, width, height).blocks(BLOCK_PIXELS, CELL):
         rows, columns = place.moved(-origin[0], -origin[1]).slices
         yield place, [layer[rows, columns].reshape(-1, 4) for layer in layers]
 
@@ -426,14 +446,14 @@ class Support:
 
 
 def _block_measures(
-    rules: StackRules, settings: MeasureSettings, pixels: Contributors
+    rules: StackRules, settings: MeasureSettings, pixels: Contributors, cells: Cells
 ) -> tuple[StackMeasures, Provenance]:
     p = pixels.reduced(rules)
     support = Support.of(p, pixels, settings)
-    result, chromatic = _result_measures(rules, settings, pixels, p, support)
+    result, chromatic = _result_measures(rules, settings, pixels, cells, p, support)
     p_plain = pixels.plain(rules)
     traditional, _ = _result_measures(
-        rules, settings, pixels, p_plain, Support.of(p_plain, pixels, settings)
+        rules, settings, pixels, cells, p_plain, Support.of(p_plain, pixels, settings)
     )
     sensitive = 0
     if rules.blending.depends_on_order:
@@ -461,6 +481,7 @@ def _result_measures(
     rules: StackRules,
     settings: MeasureSettings,
     pixels: Contributors,
+    cells: Cells,
     p: Array,
     support: Support,
 ) -> tuple[ResultMeasures, Mask]:
@@ -477,10 +498,12 @@ def _result_measures(
     rows = []
     for size, near in zip(pixels.size, support.near, strict=True):
         contributes = size > settings.half_step
+        survives = contributes & chromatic & near
         rows.append(
             ContributorMeasures(
                 pixels=count(contributes),
-                survived=count(contributes & chromatic & near),
+                survived=count(survives),
+                visible=pixels_seen(contributes, survives, cells),
                 chroma=in_units(size),
                 kept=in_units(size * np.where(near, of_near, of_others)),
             )

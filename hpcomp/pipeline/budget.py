@@ -75,11 +75,12 @@ def share_out(
     form: OutputForm,
     granted: ResourceOptions,
     extra: tuple[int, int],
+    cell: int,
 ) -> tuple[int, int]:
-    """How many threads make the stack, and how many rows at a time.
+    """How many threads make the stack, and how many rows at a time, a multiple of `cell`.
 
     `extra`: as in `stack_budget`. Errors: `MismatchError` that names the least memory this stack
     can be made in.
     """
     budget_of = partial(stack_budget, readers, window.width, rules, form, extra)
-    return budget.share_out(readers, window.height, granted, budget_of, "this stack")
+    return budget.share_out(readers, window.height, granted, budget_of, "this stack", cell=cell)

@@ -21,10 +21,12 @@ class Observer(Protocol):
     """Watches one picture: is asked for its needs, sees every strip, and tells at the end.
 
     `sees_layers`: whether it is given all layers of a strip, which then are in memory at once.
+    `cell`: strips begin at rows that are multiples of it, counted from the canvas' corner.
     `summary`: what it found of the stack, None before the end.
     """
 
     sees_layers: bool
+    cell: int
     summary: StackSummary | None
 
     @property
@@ -67,6 +69,7 @@ class NobodyWatches:
 
     outputs: Sequence[str] = ()
     sees_layers = False
+    cell = 1
     summary: StackSummary | None = None
 
     def place(self, opened: contextlib.ExitStack) -> None:

@@ -106,6 +106,7 @@ def _planned(
         request.form,
         request.options.resources,
         observer.memory(len(readers), window),
+        observer.cell,
     )
     opened.enter_context(codec_threads([*readers, request.form], reading=1, writing=threads))
     return StackPlan(
@@ -119,6 +120,7 @@ def _planned(
         notices,
         layers=stacked.layers,
         strip_rows=strip_rows,
+        missing_rows=(window.y - stacked.canvas.y) % observer.cell,
     )
 
 

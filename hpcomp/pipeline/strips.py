@@ -27,14 +27,18 @@ log = logging.getLogger("hpcomp")
 
 @dataclass(frozen=True)
 class StackPlan(PicturePlan):
-    """The plan of a stack: its layers, and how many rows are made at a time."""
+    """The plan of a stack: its layers, and how many rows are made at a time.
+
+    `missing_rows`: of the first strip, which is so many rows shorter.
+    """
 
     layers: Sequence[PlacedLayer]
     strip_rows: int
+    missing_rows: int
 
     def strips(self) -> Iterator[Window]:
         """The windows of the strips, from the top."""
-        return self.window.strips(self.strip_rows)
+        return self.window.strips(self.strip_rows, self.missing_rows)
 
 
 def composite_strips(plan: StackPlan, writer: ImageWriter, observer: Observer) -> Losses:

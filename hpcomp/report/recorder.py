@@ -24,7 +24,7 @@ from ..geometry import Window
 from ..imagefile.exrscanlines import ExrForm, ExrScanlineWriter
 from ..imagefile.header import PictureHeader
 from ..imagefile.writing import OutputForm
-from ..measures.defaults import DEFAULT_BINS, check_energy_weights
+from ..measures.defaults import CELL, DEFAULT_BINS, check_energy_weights
 from ..measures.labels import (
     ENERGY_WEIGHTS,
     Provenance,
@@ -49,6 +49,8 @@ from .stackreport import (
 _PLANES = (("grey", "float"), ("layer", "uint"), ("margin", "float"))
 #: What a histogram's bin takes, and a strip's summary is held so many times.
 _BIN_BYTES, _FINDINGS_HELD = 64, 4
+#: What the kernel keeps of each layer in each cell.
+_CELL_BYTES = 4
 #: What measuring a block of pixels takes for each layer, in numpy.
 _BLOCK_BYTES = 1 << 19
 
@@ -75,6 +77,7 @@ class Recorder:
     """
 
     sees_layers = True
+    cell = CELL
 
     def __init__(
         self,
@@ -121,8 +124,9 @@ class Recorder:
         """Bytes for each pixel of a strip, and for the whole."""
         preview = _PreviewSums.memory(window) if self._with_preview else 0
         histograms = (layers + 2) * (self._bins + 1) * _BIN_BYTES * _FINDINGS_HELD
+        cells = -(-(layers + 1) * _CELL_BYTES // CELL**2)
         return (
-            24 + (64 if self._with_preview else 0),
+            24 + cells + (64 if self._with_preview else 0),
             histograms + (layers + 4) * _BLOCK_BYTES + preview,
         )
 

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 import hpcomp
 from hpcomp.errors import MismatchError, SettingError
 from hpcomp.measures import labels as measures
+from hpcomp.measures.defaults import CELL
 from hpcomp.measures.histogram import LARGEST_ADDEND, SUM_UNIT
 from hpcomp.options import stack_rules
 from hpcomp.report import measures as report
@@ -328,7 +329,8 @@ def pixel_stacks(draw, min_pixels=1, max_pixels=12):
 @given(pixel_stacks(min_pixels=2), st.data())
 def test_parts_add_up_to_the_whole_exactly(stack, data):
     layers, rules = stack
-    cut = data.draw(st.integers(0, layers.shape[1]))
+    cut = CELL * data.draw(st.integers(0, layers.shape[1]))
+    layers = np.repeat(layers, CELL, axis=1)
     whole = hpcomp.stack_measures(layers, **rules)
     below, above = (
         hpcomp.stack_measures(part, **rules) for part in (layers[:, :cut], layers[:, cut:])

@@ -231,7 +231,7 @@ def test_parts_add_up_to_the_whole_exactly(name, order):
     by = ENGINES[name]
     rules = stack_rules(4, order=order, op="xor", background=(0.2, 0.3, 0.1))
     settings = measures.measure_settings(rules)
-    layers = layers_of_labels(4, 7, 530)
+    layers = layers_of_labels(4, 37, 530)
 
     def found(rows, columns):
         strip = StripToMeasure(
@@ -246,11 +246,11 @@ def test_parts_add_up_to_the_whole_exactly(name, order):
         )
         return by.summary(strip)
 
-    whole, planes = found(slice(0, 7), slice(0, 530))
-    for height, width in ((1, 530), (2, 530), (3, 530), (5, 100), (7, 1000)):
+    whole, planes = found(slice(0, 37), slice(0, 530))
+    for height, width in ((16, 530), (32, 530), (48, 530), (16, 96), (37, 1008)):
         total = summary.StackSummary.none(rules, settings, 360)
-        for top, left in itertools.product(range(0, 7, height), range(0, 530, width)):
-            place = slice(top, min(top + height, 7)), slice(left, min(left + width, 530))
+        for top, left in itertools.product(range(0, 37, height), range(0, 530, width)):
+            place = slice(top, min(top + height, 37)), slice(left, min(left + width, 530))
             part, of_part = found(*place)
             total += part
             for whole_plane, plane in zip(
@@ -431,7 +431,7 @@ def make_provenance(**changed):
 def make_measures(**changed):
     """`_kernel.measures` of two layers, but for what is changed."""
     arguments = {
-        "layers": 2, "width": WIDTH, "height": HEIGHT, "bins": BINS, "half_step": 1e-5,
+        "layers": 2, "width": WIDTH, "height": HEIGHT, "left": 0, "top": 0, "bins": BINS, "half_step": 1e-5,
         "achromatic": 0.02, "foreign_sine": 0.07, "foreign_cosine": 0.99, "depends_on_order": True,
         "provenance": make_provenance(),
     }  # fmt: skip
