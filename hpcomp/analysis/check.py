@@ -187,6 +187,18 @@ class CheckResult:
         return share(self.sums.foreign_chroma, self.sums.chroma)
 
     @property
+    def visible_share(self) -> float:
+        """Of what all layers contribute to, pixel by pixel, the share in cells where they show."""
+        of_layers = [
+            seen
+            for label, seen in zip(self.labels, self.sums.labels, strict=True)
+            if label.number is not None
+        ]
+        return share(
+            sum(seen.visible for seen in of_layers), sum(seen.pixels for seen in of_layers)
+        )
+
+    @property
     def grey_share(self) -> float:
         """Against layers, the share of their chroma that the picture lacks; else of grey pixels.
 
@@ -210,6 +222,53 @@ def parse_share(text: str | float) -> float:
     if not 0 <= value <= 1:
         raise SettingError(f"'{text}' is not a share: write 0.01 or 1%, from 0 to 100%")
     return value
+
+
+@dataclass(frozen=True)
+class LeastVisible:
+    """The least share of its pixels in which a layer must be visible, None where none is asked.
+
+    `of_any`: of every layer that contributes anywhere. `of_layer`: by number, which goes first.
+    """
+
+    of_any: float | None
+    of_layer: dict[int, float]
+
+    @staticmethod
+    def parsed(
+        wanted: str | float | Sequence[str | float], specs: Sequence[LayerSpec]
+    ) -> LeastVisible:
+        """From `95%`, `0.95`, `layer:1=90%` or `layer:NAME=90%`, or several of these.
+
+        Errors: `SettingError`, also where two are of the same.
+        """
+        several = [wanted] if isinstance(wanted, (str, float, int)) else wanted
+        of_any: list[float] = []
+        of_layer: dict[int, float] = {}
+        for text in map(str, several):
+            label, equals, limit = text.rpartition("=")
+            if not label.startswith("layer:") and (equals or text.startswith("layer:")):
+                raise SettingError(
+                    f"min-visible '{text}' is no share and no layer's: write 95%, layer:1=90% or "
+                    "layer:NAME=90%"
+                )
+            least = parse_share(limit)
+            number = _layer_label(label.removeprefix("layer:"), specs).number if equals else None
+            if number in of_layer or (number is None and of_any):
+                raise SettingError(f"min-visible '{text}' comes after another: give one of each")
+            if number is None:
+                of_any.append(least)
+            else:
+                of_layer[number] = least
+        return LeastVisible(of_any[0] if of_any else None, of_layer)
+
+    @property
+    def is_asked(self) -> bool:
+        return self.of_any is not None or bool(self.of_layer)
+
+    def of(self, number: int, seen: LabelSums) -> float | None:
+        """What is asked of layer `number`."""
+        return self.of_layer.get(number, self.of_any if seen.pixels else None)
 
 
 def parse_hues(hues: str | Sequence[float]) -> tuple[float, ...]:
@@ -266,6 +325,7 @@ def check(
     max_foreign: str | float | None = None,
     max_gray: str | float | None = None,
     require_hue: Sequence[str | float] = (),
+    min_visible: str | float | Sequence[str | float] = (),
     visible: str | float = DEFAULT_VISIBLE,
     **options: Unpack[StackKeywords],
 ) -> CheckResult:
@@ -278,7 +338,10 @@ def check(
     At least one rule:
     `max_foreign`, `max_gray`: shares in [0, 1] or as `1%` that may not be exceeded;
     `require_hue`: labels that must be seen, degrees or `layer:1` or `layer:NAME`, each in the share
-    `visible` of where it could be.
+    `visible` of where it could be;
+    `min_visible`: the share of its pixels that must lie in cells of 16×16 pixels, counted from the
+    canvas' corner, in which a pixel of its shows its hue: of each layer that contributes anywhere,
+    or of one as `layer:1=90%` or `layer:NAME=90%`, which goes first.
     `foreign_tolerance`: degrees between p vectors, twice the hue tolerance if not given, and
     the space's `gamut_turn` more. `achromatic`: the saturation below which colours are grey, 0.02
     if not given.
@@ -296,10 +359,12 @@ def check(
     }
     least = parse_share(visible)
     required = [_label(label, specs) for label in require_hue]
-    if not required and all(limit is None for limit in limits.values()):
+    asked_visible = LeastVisible.parsed(min_visible, specs)
+    given = [*required, *(limit for limit in limits.values() if limit is not None)]
+    if not given and not asked_visible.is_asked:
         raise SettingError(
-            "a check without a rule would pass anything: give --max-foreign, --max-gray or "
-            "--require-hue"
+            "a check without a rule would pass anything: give --max-foreign, --max-gray, "
+            "--require-hue or --min-visible"
         )
     if bool(specs) == (hues is not None):
         raise SettingError("give either the LAYERs that the picture was made from, or --hues")
@@ -313,6 +378,8 @@ def check(
         for name in _OF_LAYERS:
             if checked[name] != DEFAULTS[name]:
                 raise SettingError(f"--{name} is about layers: a check against --hues has none")
+        if asked_visible.is_asked:
+            raise SettingError("--min-visible is about layers: a check against --hues has none")
         working_primaries(checked.rules.primaries)  # there is no bottom to take them from
         rules = checked.rules.of_layers([None], [1.0])
         degrees = parse_hues(hues)
@@ -352,7 +419,8 @@ def check(
         sums,
         ramps=crossing,
     )
-    return replace(result, verdicts=tuple(_verdicts(result, limits, required, least)))
+    verdicts = [*_verdicts(result, limits, required, least), *_visible(result, asked_visible)]
+    return replace(result, verdicts=tuple(verdicts))
 
 
 def _picture_spec(image: Layer) -> LayerSpec:
@@ -376,6 +444,14 @@ def _verdicts(
         seen = result.sums.labels[result.labels.index(label)]
         passed = seen.shown > 0 and seen.share >= least
         yield Verdict("require-hue", label.text, seen.share, least, passed)
+
+
+def _visible(result: CheckResult, asked: LeastVisible) -> Iterator[Verdict]:
+    for label, seen in zip(result.labels, result.sums.labels, strict=True):
+        limit = None if label.number is None else asked.of(label.number, seen)
+        if limit is not None:
+            passed = seen.visible_share >= limit
+            yield Verdict("min-visible", label.text, seen.visible_share, limit, passed)
 
 
 # --- pixels ---------------------------------------------------------------------------------------

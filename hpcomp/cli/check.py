@@ -62,8 +62,15 @@ SHORT_HELP = "Fail if a picture has lost the hues of its layers."
     default="0.1%",
     show_default=True,
     metavar="SHARE",
-    help="A label is visible if this much of where it could be has its hue: of the pixels to which "
-    "its layer contributes, or of all chromatic pixels.",
+    help="For --require-hue a label is visible if this much of where it could be has its hue: of "
+    "the pixels to which its layer contributes, or of all chromatic pixels.",
+)
+@click.option(
+    "--min-visible",
+    multiple=True,
+    metavar="[LAYER=]SHARE",
+    help="Fail if a layer is visible in less of its pixels: 95% for every layer that contributes "
+    "anywhere, layer:1=90% or layer:NAME=90% for one. May be repeated.",
 )
 @stack_options(*CHECKED, help=NEAR_A_LAYER)
 @other_options(*CHECKED, "depfile", "depfile_target")
@@ -84,9 +91,10 @@ def command(
     """Fail if a picture has lost the hues of its layers.
 
     IMAGE is the picture. Layers and options are those that `hpcomp stack` made it with. Instead of
-    layers, --hues lists the hues that are allowed. At least one of --max-foreign, --max-gray and
-    --require-hue is needed. If a rule does not hold, the exit code is 6, and stderr has a line for
-    each such rule. A depfile names the --depfile-target, such as a stamp, as what is made.
+    layers, --hues lists the hues that are allowed. At least one of --max-foreign, --max-gray,
+    --require-hue and --min-visible is needed. If a rule does not hold, the exit code is 6, and
+    stderr has a line for each such rule. A depfile names the --depfile-target, such as a stamp, as
+    what is made.
     The other options of stack are accepted too, but for -o and --format. They change nothing here.
     A list of options that stack and check share leaves out --depfile, as each writes its own.
 
@@ -94,12 +102,17 @@ def command(
     contributes to that pixel. The rounding of the file is allowed for: half a code value of each
     channel, or half a unit in the last place of a half-float. Lossy compression is not.
 
+    For --min-visible the canvas is cut into cells of 16 by 16 pixels from its corner. A pixel to
+    which a layer contributes counts as visible if one of that layer's pixels in its cell has the
+    layer's hue: a reader finds the label there.
+
     Layers whose hues run across a hue of another layer, as those of photographs do, are warned of:
     hue-preserving blending makes vivid rings of them, with grey beside.
 
     \b
       hpcomp check map.png base.png 'roads.png::opacity=0.6' rivers.exr --max-foreign 0.1%
       hpcomp check map.png base.png 'roads.png::opacity=0.6' rivers.exr --require-hue layer:roads
+      hpcomp check map.png base.png 'roads.png::opacity=0.6' --min-visible 95%
       hpcomp check map.png --hues 0,120,231 --max-foreign 1% --format json
     """
     analysis, report = load("hpcomp.analysis.check"), load("hpcomp.report.check")

@@ -101,6 +101,15 @@ def measure_settings(
 # --- sums -----------------------------------------------------------------------------------------
 
 
+#: The ways to reduce the terms that may be measured: the stack's own, and what it is compared with.
+RESULTS = ("result", "traditional", "hue_preserving")
+
+
+def results_of(found: Any) -> dict[str, Any]:
+    """Those of its attributes `RESULTS` that are not None, by name."""
+    return {name: of for name in RESULTS if (of := getattr(found, name)) is not None}
+
+
 def share(part: float, whole: float) -> float:
     """part / whole, and 0 where there is nothing."""
     return part / whole if whole else 0.0
@@ -121,6 +130,8 @@ class Sums:
 
 
 def _added(a: Any, b: Any) -> Any:
+    if a is None and b is None:
+        return None
     if isinstance(a, tuple):
         return tuple(x + y for x, y in zip(a, b, strict=True))
     if isinstance(a, MeasureSettings):
@@ -219,6 +230,7 @@ class StackMeasures(Sums):
     `pixels`: all of them; `unmeasured`: with NaN, infinite or beyond `LARGEST_MEASURED`, left out
     of the rest. `result`: by the blending and order of the stack; `traditional`: by plain +.
     `order_sensitive`: chromatic pixels of which another layer survives top-down than bottom-up.
+    `hue_preserving`: by ⊕, where the stack is woven; None elsewhere.
     """
 
     settings: MeasureSettings
@@ -227,12 +239,18 @@ class StackMeasures(Sums):
     pixels: int = 0
     unmeasured: int = 0
     order_sensitive: int = 0
+    hue_preserving: ResultMeasures | None = None
 
     @staticmethod
     def none(rules: StackRules, settings: MeasureSettings) -> StackMeasures:
         """The measures of no pixel, to add others to."""
         nothing = ResultMeasures((ContributorMeasures(),) * len(rules.operators))
         return StackMeasures(settings, nothing, nothing)
+
+    @property
+    def results(self) -> dict[str, ResultMeasures]:
+        """What there is of `RESULTS`, in their order."""
+        return results_of(self)
 
     @property
     def order_sensitivity(self) -> float:

@@ -25,6 +25,7 @@ from .labels import (
     blocks_of,
     contributors,
     measures_of,
+    results_of,
     summed,
 )
 
@@ -37,13 +38,19 @@ class StackSummary(Sums):
 
     `layers`: the histogram of each layer, bottom first, at its opacity and as far as it lies on the
     canvas. `result` and `traditional`: of the stack as it is blended and by plain +, over the
-    background and before the exposure.
+    background and before the exposure; `hue_preserving`: by ⊕, where the stack is woven.
     """
 
     measures: StackMeasures
     layers: tuple[HueHistogram, ...]
     result: HueHistogram
     traditional: HueHistogram
+    hue_preserving: HueHistogram | None = None
+
+    @property
+    def results(self) -> dict[str, HueHistogram]:
+        """What there is of `RESULTS`, in their order."""
+        return results_of(self)
 
     @staticmethod
     def none(rules: StackRules, settings: MeasureSettings, bins: int) -> StackSummary:

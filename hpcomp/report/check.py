@@ -18,11 +18,18 @@ _MEASURED = {
                  "of the visible pixels are grey"),
 }  # fmt: skip
 
+#: The same of a rule for one label.
+_OF_LABEL = {
+    "require-hue": "seen in {} of where it could be",
+    "min-visible": "visible in {} of its pixels",
+}
+
 
 def as_data(result: CheckResult) -> dict[str, Any]:
     """A check as dictionaries, lists, strings and numbers; shares are from 0 to 1."""
     sums = result.sums
-    grey = "lost_to_grey" if result.against == "layers" else "grey_share"
+    of_layers = result.against == "layers"
+    grey = "lost_to_grey" if of_layers else "grey_share"
     return {
         "schema": "hpcomp.check",
         "version": SCHEMA_VERSION,
@@ -39,6 +46,7 @@ def as_data(result: CheckResult) -> dict[str, Any]:
         "foreign_share": result.foreign_share,
         "foreign_chroma_share": result.foreign_chroma_share,
         grey: result.grey_share,
+        **({"layers_visible_share": result.visible_share} if of_layers else {}),
         "ramps": [
             {
                 "lower": ramp.lower,
@@ -56,6 +64,8 @@ def as_data(result: CheckResult) -> dict[str, Any]:
                 "pixels": seen.pixels,
                 "shown": seen.shown,
                 "share": seen.share,
+                "visible": None if label.number is None else seen.visible,
+                "visible_share": None if label.number is None else seen.visible_share,
             }
             for label, seen in zip(result.labels, sums.labels, strict=True)
         ],
@@ -84,8 +94,14 @@ def as_text(result: CheckResult) -> str:
         ("lost to grey" if of_layers else "grey",
          f"{result.grey_share:.3%} {'of the chroma' if of_layers else 'of the visible pixels'}"),
     ]  # fmt: skip
+    if of_layers:
+        rows.append(("layers visible", f"in {result.visible_share:.3%} of their pixels"))
     for label, seen in zip(result.labels, sums.labels, strict=True):
-        rows.append((label.text, f"seen in {seen.share:.3%} of {seen.pixels} pixels"))
+        found = f"seen in {seen.share:.3%} of {seen.pixels} pixels"
+        if label.number is not None:
+            found += f", visible in {seen.visible_share:.3%} of them"
+        nothing = label.number is not None and not seen.pixels
+        rows.append((label.text, "contributes no hue" if nothing else found))
     rows += [
         ("passed" if verdict.passed else "FAILED", _sentence(result, verdict))
         for verdict in result.verdicts
@@ -108,9 +124,9 @@ def failures(result: CheckResult) -> list[str]:
 
 def _sentence(result: CheckResult, verdict: Verdict) -> str:
     if verdict.label is not None:
+        how_much = _OF_LABEL[verdict.rule].format(f"{verdict.measured:.3%}")
         return (
-            f"--{verdict.rule}: {verdict.label} is seen in {verdict.measured:.3%} of where it "
-            f"could be, at least {_limit(verdict)} must be"
+            f"--{verdict.rule}: {verdict.label} is {how_much}, at least {_limit(verdict)} must be"
         )
     measured = _MEASURED[verdict.rule][result.against == "hues"]
     return f"--{verdict.rule}: {verdict.measured:.3%} {measured}, at most {_limit(verdict)} may"

@@ -6,7 +6,7 @@ import csv
 import io
 import json
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from ..errors import printable
@@ -116,19 +116,24 @@ def one_line_lists(text: str) -> str:
     return _NUMBERS.sub(lambda match: f"[{' '.join(match[1].split())}]", text)
 
 
-def as_csv(entries: Sequence[Entry], look: Look) -> bytes:
+def as_csv(
+    entries: Sequence[Entry], look: Look, more: Mapping[str, Sequence[float]] | None = None
+) -> bytes:
     """A table with a row for each bin of each image, and for the pixels that are in none; UTF-8.
 
     `kind` is `hue`, with the bin's centre in `hue`, or `grey`, `transparent` or `nonfinite`, whose
-    rows have a count alone. The other columns are sums, as in the JSON document.
+    rows have a count alone. The other columns are sums, as in the JSON document. `more`: columns
+    at the right, a number for each of the entries, which stands in each of its rows.
     """
     common_axis(entries)
     text = io.StringIO(newline="")
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(CSV_COLUMNS)
-    for label, histogram in entries:
+    added = {} if more is None else more
+    writer.writerow((*CSV_COLUMNS, *added))
+    for number, (label, histogram) in enumerate(entries):
+        of_entry = [column[number] for column in added.values()]
         for row in _rows(histogram):
-            writer.writerow((printable(label), *row))
+            writer.writerow((printable(label), *row, *of_entry))
     return text.getvalue().encode()
 
 

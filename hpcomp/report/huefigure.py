@@ -80,13 +80,14 @@ def stack_as_pdf(report: StackReport) -> bytes:
 
 
 def _stack_saved(report: StackReport, format: str) -> bytes:
-    """Its layers, result and traditional result, each with what became of its hues.
+    """Its layers and results, each with what became of its hues.
 
     Of more layers than a figure has room for, it shows the lower ones and says so.
     """
     measures = report.summary.measures
     notes = [
-        f"hue survived in {percent(layer.survived_share)} of {layer.pixels:,} px, "
+        f"visible in {percent(layer.visible_share)} of {layer.pixels:,} px, "
+        f"hue survived in {percent(layer.survived_share)}, "
         f"lost to grey: {percent(layer.lost)} of chroma"
         if layer.pixels
         else "contributes no hue"
@@ -94,14 +95,16 @@ def _stack_saved(report: StackReport, format: str) -> bytes:
     ] + [
         f"foreign hue: {percent(result.foreign_share)} of pixels, "
         f"{percent(result.foreign_chroma_share)} of chroma; "
-        f"lost to grey: {percent(result.lost)} of chroma"
-        for result in (measures.result, measures.traditional)
+        f"lost to grey: {percent(result.lost)} of chroma; "
+        f"visible: {percent(result.visible_share)}"
+        for result in measures.results.values()
     ]
     entries = report.entries
     left_out = len(entries) - MOST_IMAGES
     remark = ""
     if left_out > 0:
-        kept = [*range(len(entries) - 2 - left_out), -2, -1]
+        results = len(measures.results)
+        kept = [*range(len(entries) - results - left_out), *range(-results, 0)]
         entries, notes = [entries[k] for k in kept], [notes[k] for k in kept]
         remark = f"; {left_out} upper layers are left out"
     return _saved(entries, Look(), format, notes, remark)

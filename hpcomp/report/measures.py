@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from ..errors import printable
@@ -30,8 +30,10 @@ def as_data(
         "energy_weights": list(energy_weights),
         "order_sensitive_pixels": measures.order_sensitive,
         "order_sensitivity": measures.order_sensitivity,
-        "result": _result_data(measures.result, labels, energy_weights),
-        "traditional": _result_data(measures.traditional, labels, energy_weights),
+        **{
+            name: _result_data(result, labels, energy_weights)
+            for name, result in measures.results.items()
+        },
     }
 
 
@@ -44,6 +46,7 @@ def _result_data(
         "foreign_share": result.foreign_share,
         "foreign_chroma_share": result.foreign_chroma_share,
         "lost_to_grey": result.lost,
+        "visible_share": result.visible_share,
         "energy": result.energy(energy_weights),
         "layers": [
             {"number": number, "label": label, **_contributor_data(layer)}
@@ -58,6 +61,8 @@ def _contributor_data(contributor: ContributorMeasures) -> dict[str, Any]:
         "pixels": contributor.pixels,
         "survived_pixels": contributor.survived,
         "survived_share": contributor.survived_share,
+        "visible_pixels": contributor.visible,
+        "visible_share": contributor.visible_share,
         "lost_to_grey": contributor.lost,
     }
 
@@ -67,31 +72,50 @@ def as_text(
     labels: Sequence[str],
     energy_weights: Sequence[float] = ENERGY_WEIGHTS,
 ) -> str:
-    """The measures in aligned lines: the result's beside those of traditional blending."""
-    both = (measures.result, measures.traditional)
+    """The measures in aligned lines, a column for each result, the stack's own first."""
+    results = list(measures.results.values())
+
+    def of_all(measure: Callable[[ResultMeasures], float]) -> list[str]:
+        return [f"{measure(result):.3%}" for result in results]
+
     rows = [
-        ("", "result", "traditional"),
-        ("foreign hue, of pixels", *(f"{r.foreign_share:.3%}" for r in both)),
-        ("foreign hue, of chroma", *(f"{r.foreign_chroma_share:.3%}" for r in both)),
-        ("lost to grey", *(f"{r.lost:.3%}" for r in both)),
-        ("energy, in white pixels", *(f"{r.energy(energy_weights):.1f}" for r in both)),
-        ("order sensitivity", f"{measures.order_sensitivity:.3%}", ""),
+        ["", *(title(name) for name in measures.results)],
+        ["foreign hue, of pixels", *of_all(lambda result: result.foreign_share)],
+        ["foreign hue, of chroma", *of_all(lambda result: result.foreign_chroma_share)],
+        ["lost to grey", *of_all(lambda result: result.lost)],
+        ["visible", *of_all(lambda result: result.visible_share)],
+        [
+            "energy, in white pixels",
+            *(f"{result.energy(energy_weights):.1f}" for result in results),
+        ],
+        ["order sensitivity", f"{measures.order_sensitivity:.3%}", *[""] * (len(results) - 1)],
     ]
     contributors = [
-        (label, measures.result.layers[number], measures.traditional.layers[number])
+        (label, [result.layers[number] for result in results])
         for number, label in enumerate(labels)
     ]
     if measures.result.background.chroma:
-        contributors.append(
-            ("background", measures.result.background, measures.traditional.background)
-        )
-    for label, ours, plain in contributors:
+        contributors.append(("background", [result.background for result in results]))
+    for label, of_results in contributors:
+        if not of_results[0].pixels:
+            rows.append([f"{label}: contributes no hue", *[""] * len(results)])
+            continue
         rows += [
-            (f"{label}: hue survived", f"{ours.survived_share:.3%}", f"{plain.survived_share:.3%}"),
-            (f"{label}: lost to grey", f"{ours.lost:.3%}", f"{plain.lost:.3%}"),
+            [f"{label}: visible", *(f"{of.visible_share:.3%}" for of in of_results)],
+            [f"{label}: hue survived", *(f"{of.survived_share:.3%}" for of in of_results)],
+            [f"{label}: lost to grey", *(f"{of.lost:.3%}" for of in of_results)],
         ]
-    widths = [max(len(cell) for cell in column) for column in zip(*rows, strict=True)]
-    return "\n".join(
-        printable(f"{row[0]:<{widths[0]}}  {row[1]:>{widths[1]}}  {row[2]:>{widths[2]}}".rstrip())
-        for row in rows
-    )
+    first, *widths = [max(len(cell) for cell in column) for column in zip(*rows, strict=True)]
+    lines = [
+        [
+            f"{name:<{first}}",
+            *(f"{cell:>{width}}" for cell, width in zip(cells, widths, strict=True)),
+        ]
+        for name, *cells in rows
+    ]
+    return "\n".join(printable("  ".join(line).rstrip()) for line in lines)
+
+
+def title(name: str) -> str:
+    """What a result, one of `labels.RESULTS`, is called in a text."""
+    return name.replace("_", "-")

@@ -13,14 +13,17 @@ addEventListener("DOMContentLoaded", () => {
 
 // The range input has the keys and what assistive technology is told; pointers move it by the frame.
 function comparison(frame, range) {
+  const nameOf = (side) => frame.querySelector(`figure.${side}`).dataset.name;
   const show = (share) => {
     frame.style.setProperty("--split", `${share}%`);
     const before = Math.round(share);
     range.setAttribute(
       "aria-valuetext",
-      `${before}% ${range.dataset.before}, ${100 - before}% ${range.dataset.after}`,
+      `${before}% ${nameOf("before")}, ${100 - before}% ${nameOf("after")}`,
     );
   };
+  const sides = ["left", "right"].map((side) => document.getElementById(side));
+  if (sides[0]) choosing(frame, sides, () => show(Number(range.value)));
   const follow = (event) => {
     const box = frame.getBoundingClientRect();
     range.value = Math.min(100, Math.max(0, (100 * (event.clientX - box.left)) / box.width));
@@ -38,6 +41,27 @@ function comparison(frame, range) {
   });
   range.addEventListener("input", () => show(Number(range.value)));
   show(Number(range.value));
+}
+
+// Which of several pictures is at which side. One picture is never at both: they change places.
+function choosing(frame, sides, done) {
+  const figures = [...frame.querySelectorAll("figure")];
+  let chosen = [];
+  const apply = (changed) => {
+    if (sides[0].value === sides[1].value) {
+      const other = 1 - changed;
+      sides[other].value =
+        chosen[changed] ?? figures.find((figure) => figure.dataset.picture !== sides[changed].value).dataset.picture;
+    }
+    chosen = sides.map((side) => side.value);
+    for (const figure of figures) {
+      figure.classList.toggle("before", figure.dataset.picture === chosen[0]);
+      figure.classList.toggle("after", figure.dataset.picture === chosen[1]);
+    }
+    done();
+  };
+  sides.forEach((side, number) => side.addEventListener("change", () => apply(number)));
+  apply(0); // a browser may restore what was chosen before
 }
 
 function layerMap() {

@@ -37,12 +37,14 @@ from ..system.outputs import whole_output, write_bytes
 from ..version import __version__
 from .hueformats import report_format
 from .stackreport import (
+    TRADITIONAL,
     Preview,
     StackReport,
     load_stack_renderer,
     needs_preview,
     preview_scale,
     render_stack_report,
+    result_name,
 )
 
 #: The planes of a provenance file, in the order of the file.
@@ -59,13 +61,19 @@ _BLOCK_BYTES = 1 << 19
 class SeenStrip:
     """What is kept of one strip: its measures, and planes (height, width) where they are wanted.
 
-    `top`: its first row, from that of the window. `pictures`: RGBA as blended, and by plain +.
+    `top`: its first row, from that of the window. `pictures`: RGBA of those of `compared`.
     """
 
     top: int
     summary: StackSummary
     provenance: Provenance | None
-    pictures: tuple[Rgba, Rgba] | None
+    pictures: list[Rgba] | None
+
+
+def compared(rules: StackRules) -> dict[str, StackRules]:
+    """The pictures that a page compares, by name: by plain +, and the stack's own, last."""
+    plain = replace(rules, blending=BLENDINGS[TRADITIONAL])
+    return {TRADITIONAL: plain, result_name(rules.blending.name): rules}
 
 
 class Recorder:
@@ -105,7 +113,8 @@ class Recorder:
         self._bins = DEFAULT_BINS if asked.bins is None else asked.bins
         weights = asked.energy_weights
         self._energy_weights = ENERGY_WEIGHTS if weights is None else check_energy_weights(weights)
-        self._with_preview = any(needs_preview(name) for _, name in self._reports)
+        with_preview = any(needs_preview(name) for _, name in self._reports)
+        self._n_pictures = len(compared(rules)) if with_preview else 0
         self.outputs = [path for path, _ in self._reports]
         if asked.provenance is not None:
             self.outputs.append(asked.provenance)
@@ -122,11 +131,11 @@ class Recorder:
 
     def memory(self, layers: int, window: Window) -> tuple[int, int]:
         """Bytes for each pixel of a strip, and for the whole."""
-        preview = _PreviewSums.memory(window) if self._with_preview else 0
+        preview = _PreviewSums.memory(window, self._n_pictures)
         histograms = (layers + 2) * (self._bins + 1) * _BIN_BYTES * _FINDINGS_HELD
         cells = -(-(layers + 1) * _CELL_BYTES // CELL**2)
         return (
-            24 + cells + (64 if self._with_preview else 0),
+            24 + cells + 32 * self._n_pictures,
             histograms + (layers + 4) * _BLOCK_BYTES + preview,
         )
 
@@ -137,7 +146,7 @@ class Recorder:
         """Around the pass over the strips of `window`."""
         self._rules, self._window, self._canvas = rules, window, canvas
         self.summary = StackSummary.none(rules, self._settings, self._bins)
-        self._preview = _PreviewSums(window, rules) if self._with_preview else None
+        self._preview = _PreviewSums(window, rules) if self._n_pictures else None
         self._provenance = None
         if self._provenance_path is not None:
             header = PictureHeader(window, canvas, pixel_aspect=pixel_aspect)
@@ -177,11 +186,9 @@ class Recorder:
         )
         pictures = None
         if self._preview is not None:
-            plain = replace(self._rules, blending=BLENDINGS["traditional"])
-            pictures = (
-                _composited(self._rules, strips, rows),
-                _composited(plain, strips, rows),
-            )
+            pictures = [
+                _composited(shown, strips, rows) for shown in compared(self._rules).values()
+            ]
         return samples, SeenStrip(rows.y - self._window.y, summary, provenance, pictures)
 
     def write(self, seen: SeenStrip) -> None:
@@ -245,7 +252,7 @@ def _composited(rules: StackRules, strips: Sequence[Strip], rows: Window) -> Rgb
 
 
 class _PreviewSums:
-    """Both pictures as means of squares of pixels, and one pixel of each square's provenance.
+    """All pictures as means of squares of pixels, and one pixel of each square's provenance.
 
     Rows are added one by one, so that the sums do not depend on how they arrive.
     """
@@ -254,7 +261,7 @@ class _PreviewSums:
         self._rules = rules
         self._scale = preview_scale(window.width, window.height)
         shape = -(-window.height // self._scale), -(-window.width // self._scale)
-        self._sums = np.zeros((2, *shape, 4))
+        self._sums = {name: np.zeros((*shape, 4)) for name in compared(rules)}
         self._layer = np.zeros(shape, np.uint32)
         columns = np.arange(0, window.width, self._scale)
         self._columns = columns
@@ -263,14 +270,14 @@ class _PreviewSums:
         self._areas = (heights[:, None] * widths)[..., None]
 
     @staticmethod
-    def memory(window: Window) -> int:
+    def memory(window: Window, pictures: int) -> int:
         scale = preview_scale(window.width, window.height)
-        return (window.width // scale + 1) * (window.height // scale + 1) * 2 * 4 * 8 * 2
+        return (window.width // scale + 1) * (window.height // scale + 1) * pictures * 4 * 8 * 2
 
     def add(self, top: int, pictures: Sequence[Rgba], layer: NDArray[np.uint32]) -> None:
         for offset in range(len(layer)):
             row, within = divmod(top + offset, self._scale)
-            for sums, picture in zip(self._sums, pictures, strict=True):
+            for sums, picture in zip(self._sums.values(), pictures, strict=True):
                 sums[row] += np.add.reduceat(
                     picture[offset].astype(np.float64), self._columns, axis=0
                 )
@@ -278,8 +285,9 @@ class _PreviewSums:
                 self._layer[row] = layer[offset, :: self._scale]
 
     def result(self) -> Preview:
-        result, traditional = (self._picture(sums) for sums in self._sums)
-        return Preview(result, traditional, self._layer, self._scale)
+        pictures = {name: self._picture(sums) for name, sums in self._sums.items()}
+        of_file = result_name(self._rules.blending.name)
+        return Preview(pictures, of_file, self._layer, self._scale)
 
     def _picture(self, sums: NDArray[np.float64]) -> Any:
         with np.errstate(invalid="ignore"):

@@ -29,11 +29,14 @@ JSON_KEYS: dict[str, str] = {
     "Inf; `order_sensitive_pixels` and `order_sensitivity`, the share of the chromatic ones in "
     "which another layer's hue survives top-down than bottom-up. What counts: `half_step`, the |p| "
     "above which there is a hue; `achromatic`; `foreign_tolerance` in degrees; `energy_weights` of "
-    "red, green and blue. Then for `result` and `traditional`: `chromatic_pixels`; "
+    "red, green and blue. Then for `result`, `traditional` and, if the stack is woven, "
+    "`hue_preserving`: `chromatic_pixels`; "
     "`foreign_pixels`, whose hue no layer gave them, `foreign_share` and `foreign_chroma_share`; "
-    "`lost_to_grey`, of the chroma that went in; `energy`; `layers` and `background`, each with "
-    "the `pixels` to which it contributes, `survived_pixels`, `survived_share` and `lost_to_grey`; "
-    "layers have a `number` and a `label`, and `background` is null where it has no hue.",
+    "`lost_to_grey`, of the chroma that went in; `visible_share`, of the pixels of all layers; "
+    "`energy`; `layers` and `background`, each with the `pixels` to which it contributes, "
+    "`survived_pixels` and `survived_share`, `visible_pixels`, which lie in squares of 16 by 16 "
+    "pixels where its hue is seen, `visible_share`, and `lost_to_grey`; layers have a `number` and "
+    "a `label`, and `background` is null where it has no hue.",
     "space": "The blending space whose hue and chroma were measured.",
     "bins": "How many bins each histogram has.",
     "achromatic": "The saturation below which pixels were grey.",
@@ -42,6 +45,7 @@ JSON_KEYS: dict[str, str] = {
     "`concentration` and `histogram` as in a document of hpcomp hues.",
     "result": "The same keys for the result, before its exposure and before it is rounded.",
     "traditional": "The same keys for the result of ordinary addition.",
+    "hue_preserving": "The same keys for the result of ⊕; only if the stack is woven.",
 }
 
 
@@ -68,8 +72,7 @@ def as_data(report: StackReport) -> dict[str, Any]:
                 zip(report.labels, summary.layers, strict=True)
             )
         ],
-        "result": huedata.histogram_data(summary.result),
-        "traditional": huedata.histogram_data(summary.traditional),
+        **{name: huedata.histogram_data(found) for name, found in summary.results.items()},
     }
 
 
@@ -79,8 +82,21 @@ def as_json(report: StackReport) -> bytes:
 
 
 def as_csv(report: StackReport) -> bytes:
-    """The rows of all histograms, as `hpcomp hues` writes them: layers, result, traditional."""
-    return huedata.as_csv(report.entries, Look())
+    """The rows of all histograms, as `hpcomp hues` writes them: layers, then each result.
+
+    A column more for each result says in every row how visible its layer is there, as a share of
+    its pixels: in the rows of results, all layers together.
+    """
+    visible = {}
+    for name, result in report.summary.measures.results.items():
+        shares = [layer.visible_share for layer in result.layers]
+        together = [result.visible_share] * len(report.summary.results)
+        visible[_visible_column(name)] = [*shares, *together]
+    return huedata.as_csv(report.entries, Look(), visible)
+
+
+def _visible_column(name: str) -> str:
+    return "visible_share" if name == "result" else f"{name}_visible_share"
 
 
 def as_text(report: StackReport) -> bytes:

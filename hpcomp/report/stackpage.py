@@ -1,22 +1,27 @@
-"""The report of a stack as a page: both results in one frame, numbers, hues, layers, provenance."""
+"""The report of a stack as a page: results in one frame, numbers, hues, layers, provenance."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from ..measures.defaults import CELL
 from ..measures.histogram import HueHistogram
-from ..measures.labels import ContributorMeasures, share
+from ..measures.labels import ContributorMeasures, ResultMeasures, share
 from .look import Look, percent, srgb_hex
 from .markup import Node, digits, h, isolated, lines
 from .page import Section, page
 from .pagechart import LARGE, SMALL, Charts, peak_list, swatch
 from .pagepictures import data_uri, mask, shown_size
-from .stackreport import Preview, StackReport
+from .stackreport import TRADITIONAL, Preview, StackReport
 
-TRADITIONAL = "traditional"
+#: What a picture of that name is; the one of the file is the result, whatever its name.
+_PICTURES = {
+    TRADITIONAL: "the layers added as usual",
+    "hue-preserving": "the layers added so that hues stay",
+}
 #: What stands for a layer without any hue.
 _COLORLESS = "#808080"
 
@@ -35,27 +40,25 @@ def as_html(report: StackReport) -> bytes:
     return page("Stack report", report.output, _lead(report), sections)
 
 
-def result_name(report: StackReport) -> str:
-    """What the result is called beside the traditional one: by its blending, unless that is it."""
-    name = report.settings.get("blending", "result")
-    return "result" if name == TRADITIONAL else name
-
-
 def _lead(report: StackReport) -> str:
     measures = report.summary.measures
     ours, plain = measures.result, measures.traditional
     if not plain.chromatic and not ours.chromatic:
         return "No pixel has a hue."
     theirs = percent(plain.foreign_share) if plain.foreign else "none"
+    seen = (
+        f"A reader finds {percent(ours.visible_share)} of what the layers show; with {TRADITIONAL} "
+        f"blending, {percent(plain.visible_share)}."
+    )
     if ours.foreign:
         return (
             f"{percent(ours.foreign_share)} of the coloured pixels have a hue that nothing there "
-            f"gave them; with {TRADITIONAL} blending, {theirs}."
+            f"gave them; with {TRADITIONAL} blending, {theirs}. {seen}"
         )
     verdict = f"{theirs} have not" if plain.foreign else "all have, too"
     return (
         "Every coloured pixel has the hue of something that lies there. "
-        f"With {TRADITIONAL} blending, {verdict}."
+        f"With {TRADITIONAL} blending, {verdict}. {seen}"
     )
 
 
@@ -72,11 +75,12 @@ def _comparison(report: StackReport) -> Node:
 
 
 def _frame(report: StackReport, preview: Preview) -> tuple[Node, ...]:
-    """Both pictures on one place, and what moves the line between them."""
-    ours = result_name(report)
+    """All pictures on one place, two of them in sight, and what moves the line between these."""
+    names = list(preview.pictures)
+    left, right = names[0], preview.of_file
     pictures = [
-        _picture(TRADITIONAL, "before", preview.traditional, "the layers added as usual"),
-        _picture(ours, "after", preview.result, "the result of this stack"),
+        _picture(number, name, preview, {left: "before", right: "after"}.get(name))
+        for number, name in enumerate(names)
     ]
     control = h.input(
         type="range",
@@ -85,9 +89,7 @@ def _frame(report: StackReport, preview: Preview) -> tuple[Node, ...]:
         max=100,
         step="any",
         value=50,
-        aria_label=f"How much of the frame is {TRADITIONAL}; the rest is {ours}",
-        data_before=TRADITIONAL,
-        data_after=ours,
+        aria_label="How much of the frame is the left picture",
     )
     knob = h.svg(width=24, height=24, aria_hidden="true")[h.path(d="M9 6 3 12l6 6M15 6l6 6-6 6")]
     handle = h.span(class_="handle", aria_hidden="true")[knob]
@@ -95,10 +97,30 @@ def _frame(report: StackReport, preview: Preview) -> tuple[Node, ...]:
     hint = h.p(class_="note scripted")[
         "Drag or click in the frame, or use the arrow keys, Home and End."
     ]
-    return frame, hint, _scale_note(preview)
+    if len(names) == 2:
+        return frame, hint, _scale_note(preview)
+    sides = h.p(class_="sides scripted")[
+        lines(_side("left", "Left", preview, left), _side("right", "Right", preview, right), by=" ")
+    ]
+    return sides, frame, hint, _scale_note(preview)
 
 
-def _picture(name: str, kind: str, pixels: np.ndarray, what: str) -> Node:
+def _side(side: str, title: str, preview: Preview, chosen: str) -> Node:
+    """What chooses the picture at one side of the line."""
+    options = [
+        h.option(value=str(number), selected=name == chosen)[_caption(name, preview)]
+        for number, name in enumerate(preview.pictures)
+    ]
+    return h.label[h.span[title], " ", h.select(id=side, aria_controls="compare")[lines(*options)]]
+
+
+def _caption(name: str, preview: Preview) -> str:
+    return f"{name} (the file)" if name == preview.of_file else name
+
+
+def _picture(number: int, name: str, preview: Preview, kind: str | None) -> Node:
+    pixels = preview.pictures[name]
+    what = "the result of this stack" if name == preview.of_file else _PICTURES.get(name, name)
     height, width = pixels.shape[:2]
     shown_width, shown_height, square = shown_size(width, height)
     image = h.img(
@@ -109,7 +131,9 @@ def _picture(name: str, kind: str, pixels: np.ndarray, what: str) -> Node:
         class_="square" if square else None,
         draggable="false",
     )
-    return h.figure(class_=kind)[image, h.figcaption[name]]
+    return h.figure(class_=kind, data_picture=str(number), data_name=name)[
+        image, h.figcaption[_caption(name, preview)]
+    ]
 
 
 def _scale_note(preview: Preview) -> Node:
@@ -204,55 +228,58 @@ def layer_name(number: int, label: str) -> Node:
 
 @dataclass(frozen=True)
 class _Measure:
-    """A share that both results have, and what it is, in one sentence; `plain` may be unknown."""
+    """A share of each result, by its name, and what it is, in one sentence; some may be unknown."""
 
     title: str
     meaning: str
-    ours: float
-    plain: float | None
+    shares: dict[str, float]
 
 
 def _measures(report: StackReport) -> list[_Measure]:
     measures = report.summary.measures
-    ours, plain = measures.result, measures.traditional
+
+    def of_all(measure: Callable[[ResultMeasures], float]) -> dict[str, float]:
+        return {name: measure(result) for name, result in measures.results.items()}
+
     red, green, blue = (f"{weight:g}" for weight in report.energy_weights)
     white = (measures.pixels - measures.unmeasured) * sum(report.energy_weights)
     return [
+        _Measure(
+            "Visible",
+            "The share of the layers’ pixels where a reader finds their hue: it is seen at least "
+            f"once in that square of {CELL} × {CELL} pixels.",
+            of_all(lambda result: result.visible_share),
+        ),
         _Measure(
             "Foreign hue, by pixel",
             "The share of the coloured pixels whose hue is more than "
             f"{measures.settings.foreign_tolerance:.3g}° from that of every layer that contributes "
             "there.",
-            ours.foreign_share,
-            plain.foreign_share,
+            of_all(lambda result: result.foreign_share),
         ),
         _Measure(
             "Foreign hue, by chroma",
             "The same with every pixel counted by its chroma, so that what is vivid weighs more.",
-            ours.foreign_chroma_share,
-            plain.foreign_chroma_share,
+            of_all(lambda result: result.foreign_chroma_share),
         ),
         _Measure(
             "Lost to grey",
             "The share of the layers’ chroma that blending cancelled: colour that went in and "
             "came out as grey.",
-            ours.lost,
-            plain.lost,
+            of_all(lambda result: result.lost),
         ),
         _Measure(
             "Order sensitivity",
             "The share of the coloured pixels that would show another layer’s hue if the layers "
             "were blended from the top down instead of from the bottom up.",
-            measures.order_sensitivity,
-            None,
+            {"result": measures.order_sensitivity},
         ),
         _Measure(
             "Energy",
             "An estimate of what an emissive display takes for the picture over black, as a share "
             f"of what it takes for white; linear red, green and blue weigh {red}, {green} and "
             f"{blue}.",
-            share(ours.energy(report.energy_weights), white),
-            share(plain.energy(report.energy_weights), white),
+            of_all(lambda result: share(result.energy(report.energy_weights), white)),
         ),
     ]
 
@@ -262,8 +289,10 @@ def _cards(report: StackReport) -> list[Node]:
         h.div(class_="card")[
             h.h3[row.title],
             h.dl[
-                _pair(result_name(report), row.ours, "ours"),
-                () if row.plain is None else _pair(TRADITIONAL, row.plain, "plain"),
+                (
+                    _pair(report.names[name], value, "ours" if name == "result" else "plain")
+                    for name, value in row.shares.items()
+                )
             ],
             h.p[row.meaning],
         ]
@@ -300,13 +329,15 @@ def _bar(value: float) -> Node:
 
 def _hues(report: StackReport) -> Node:
     summary = report.summary
-    results = [(result_name(report), summary.result), (TRADITIONAL, summary.traditional)]
+    results = [(report.names[name], found) for name, found in summary.results.items()]
     # A scale of their own: layers are often one bar, beside which a smear would be flat.
     charts = Charts(results, Look())
     figures = [charts.figure(_title(name), histogram, LARGE) for name, histogram in results]
     return lines(
         charts.colors(),
-        h.p(class_="note")[f"{charts.caption} Both charts have one scale."],
+        h.p(class_="note")[
+            f"{charts.caption} {'Both' if len(results) == 2 else 'All'} charts have one scale."
+        ],
         h.div(class_="charts")[lines(*figures)],
     )
 
@@ -318,25 +349,27 @@ def _title(name: str) -> str:
 def _layers(report: StackReport) -> Node:
     summary = report.summary
     charts = Charts(list(zip(report.labels, summary.layers, strict=True)), Look())
-    heads = ("Layer", "Peaks", "Pixels", "Hue survived", "Lost to grey")
+    heads = ("Layer", "Peaks", "Pixels", "Visible", "Hue survived", "Lost to grey")
+    results = list(summary.measures.results.values())
+    names = list(report.names.values())
     rows = [
         _layer_row(
             h.fragment[swatch(layer_color(histogram)), layer_name(number, label)],
-            summary.measures.result.layers[number],
-            summary.measures.traditional.layers[number],
+            list(zip(names, (result.layers[number] for result in results), strict=True)),
             peak_list(histogram) if histogram.chromatic else h.span["no hue"],
             heads,
         )
         for number, (label, histogram) in enumerate(zip(report.labels, summary.layers, strict=True))
     ]
-    ours, plain = summary.measures.result.background, summary.measures.traditional.background
-    if ours.chroma:
-        rows.append(_layer_row("background", ours, plain, "", heads))
+    if summary.measures.result.background.chroma:
+        background = zip(names, (result.background for result in results), strict=True)
+        rows.append(_layer_row("background", list(background), "", heads))
     table = h.table(role="table")[
         lines(
             h.caption[
-                "Bottom first. Pixels: where the layer contributes chroma. Hue survived: the share "
-                f"of those that show its hue. Small print: the {TRADITIONAL} result."
+                "Bottom first. Pixels: where the layer contributes chroma. Visible: the share of "
+                "those where a reader finds its hue nearby. Hue survived: the share that shows it. "
+                f"Small print: {' and '.join(names[1:])} blending."
             ],
             h.thead(role="rowgroup")[
                 h.tr(role="row")[(h.th(scope="col", role="columnheader")[head] for head in heads)]
@@ -359,23 +392,25 @@ def _layers(report: StackReport) -> Node:
 
 def _layer_row(
     name: Node,
-    ours: ContributorMeasures,
-    plain: ContributorMeasures,
+    measured: Sequence[tuple[str, ContributorMeasures]],
     peaks: Node,
     heads: tuple[str, ...],
 ) -> Node:
-    def both(of: Callable[[ContributorMeasures], float]) -> Node:
+    """`measured`: what became of the layer in each result, with its name, the stack's own first."""
+    (_, ours), *others = measured
+
+    def each(of: Callable[[ContributorMeasures], float]) -> Node:
         if not ours.pixels:
             return "–"
-        return h.fragment[
-            h.b[percent(of(ours))], _bar(of(ours)), h.small[f"{TRADITIONAL} {percent(of(plain))}"]
-        ]
+        small = [h.small[f"{other} {percent(of(theirs))}"] for other, theirs in others]
+        return h.fragment[h.b[percent(of(ours))], _bar(of(ours)), lines(*small)]
 
     cells = (
         peaks,
         f"{ours.pixels:,}",
-        both(lambda contributor: contributor.survived_share),
-        both(lambda contributor: contributor.lost),
+        each(lambda contributor: contributor.visible_share),
+        each(lambda contributor: contributor.survived_share),
+        each(lambda contributor: contributor.lost),
     )
     return h.tr(role="row")[
         h.th(scope="row", role="rowheader")[name],

@@ -12,6 +12,10 @@ from numpy.typing import NDArray
 from ..errors import MismatchError, unknown_name
 from ..measures.summary import StackSummary
 from .look import Entry
+from .measures import title
+
+#: The name of the result by plain +.
+TRADITIONAL = "traditional"
 
 #: The longest side of a preview: enough to see labels, and a page that can be sent by mail.
 PREVIEW_SIDE = 960
@@ -21,15 +25,21 @@ PREVIEW_SIDE = 960
 class Preview:
     """Pictures small enough for a page; one preview pixel is `scale` × `scale` canvas pixels.
 
-    `result`, `traditional` (h, w, 4): uint8, straight sRGB with alpha, of the stack as it is
-    blended and by plain +. `provenance` (h, w): uint32, the number plus 1 of the layer whose hue
-    survived, 0 for none.
+    `pictures`: two or more to be compared, by name, in the order to be shown, the one first that
+    the others are compared with; (h, w, 4) uint8 each, straight sRGB with alpha. `of_file`: the
+    name of that which is in the file. `provenance` (h, w): uint32, the number plus 1 of the layer
+    whose hue survived there, 0 for none.
     """
 
-    result: NDArray[np.uint8]
-    traditional: NDArray[np.uint8]
+    pictures: Mapping[str, NDArray[np.uint8]]
+    of_file: str
     provenance: NDArray[np.uint32]
     scale: int
+
+
+def result_name(blending: str) -> str:
+    """What a stack's result is called beside the traditional one: by its blending, if another."""
+    return "result" if blending in ("", TRADITIONAL) else blending
 
 
 def preview_scale(width: int, height: int) -> int:
@@ -68,13 +78,18 @@ class StackReport:
 
     @property
     def entries(self) -> list[Entry]:
-        """The histograms, as a report of hues has them: layers, result, traditional result."""
+        """The histograms, as a report of hues has them: layers, then results."""
         summary = self.summary
         return [
             *zip(self.labels, summary.layers, strict=True),
-            ("result", summary.result),
-            ("traditional", summary.traditional),
+            *((title(name), histogram) for name, histogram in summary.results.items()),
         ]
+
+    @property
+    def names(self) -> dict[str, str]:
+        """What a page calls each of the results, by its attribute of the summary."""
+        own = result_name(self.settings.get("blending", ""))
+        return {name: own if name == "result" else title(name) for name in self.summary.results}
 
 
 Render = Callable[[StackReport], bytes]

@@ -323,6 +323,7 @@ flatten smoke.exr -o out.png --order 1,0 | flatten smoke.exr::op=over -o out.png
 explain base.png | explain base.png --at x | explain base.png --at 999,3 | explain base.png --at 1,1 --format xml | explain nan.exr --at 7,5
 check | check base.png base.png | check base.png --max-foreign 1% | check base.png base.png --hues 0 --max-foreign 1%
 check base.png base.png --max-foreign 101% | check base.png base.png --require-hue frob | check base.png base.png --require-hue layer:7
+check base.png base.png --min-visible lots | check base.png base.png --min-visible layer:bse=90% | check base.png base.png --min-visible 1% --min-visible 2%
 check missing.png base.png --max-foreign 1% | check large.png base.png --max-foreign 1% | check roads.png base.png --require-hue 120
 info | info missing.png text.png base.png | info cut-roads.png cut-rivers.exr empty.png . | hues | hues missing.png | hues base.png -o out.jpg
 hues base.png --bins 5 | hues base.png::op=over | hues roads.png --format frob | hues large.png missing.png -o out.json | completion | completion tcsh

@@ -96,6 +96,8 @@ def test_what_is_lost_to_grey_is_what_the_measures_say(layers):
     for seen, layer in zip(found.sums.labels, measured.result.layers, strict=True):
         assert seen.pixels == layer.pixels
         assert seen.shown == layer.survived
+        assert seen.visible == layer.visible
+    assert found.visible_share == measured.result.visible_share
     assert not hpcomp.check("float.exr", layers, max_gray=measured.result.lost - 1e-3).passed
     assert hpcomp.check("float.exr", layers, max_gray=measured.result.lost + 1e-3).passed
 
@@ -133,7 +135,7 @@ def test_exposure_is_part_of_the_picture(layers):
 def test_strips_and_threads_do_not_show(layers, monkeypatch, caplog):
     """Blocks are of whole rows, or of parts of one."""
     caplog.set_level(logging.INFO, "hpcomp")
-    asked = {"max_foreign": 1, "require_hue": ["20"], "canvas": "70x48-3-5"}
+    asked = {"max_foreign": 1, "require_hue": ["20"], "min_visible": 0.9, "canvas": "70x48-3-5"}
     hpcomp.stack(layers, "out.png", blending="traditional", canvas=asked["canvas"])
     whole = hpcomp.check("out.png", layers, **asked)
     assert "checking 70x48-3-5 in strips of 64 rows" in caplog.text
@@ -304,10 +306,10 @@ def test_labels_are_seen_where_their_hue_is(tmp_path, monkeypatch):
     found = hpcomp.check("out.png", stack, require_hue=["layer:red", "layer:1", "120", "240"])
     by_text = dict(zip((label.text for label in found.labels), found.sums.labels, strict=True))
     # Under an opaque layer nothing of red contributes.
-    assert by_text["layer 0 (red.exr)"] == analysis.LabelSums(28, 28)
-    assert by_text["layer 1 (green.exr)"] == analysis.LabelSums(12, 12)
-    assert by_text["hue 120"] == analysis.LabelSums(40, 12)
-    assert by_text["hue 240"] == analysis.LabelSums(40, 0)
+    assert by_text["layer 0 (red.exr)"] == analysis.LabelSums(28, 28, 28)
+    assert by_text["layer 1 (green.exr)"] == analysis.LabelSums(12, 12, 12)
+    assert by_text["hue 120"] == analysis.LabelSums(40, 12, 40)
+    assert by_text["hue 240"] == analysis.LabelSums(40, 0, 0)
     assert [verdict.passed for verdict in found.verdicts] == [True, True, True, False]
     assert hpcomp.check("out.png", stack, require_hue=[120], visible="30%").passed
     assert not hpcomp.check("out.png", stack, require_hue=[120], visible="31%").passed
@@ -350,6 +352,91 @@ def test_a_hue_that_is_rounding_shows_no_label(tmp_path, monkeypatch):
     pale = hpcomp.check("pale.png", hues="30", require_hue=["30"], achromatic=0)
     assert (pale.sums.chromatic, pale.sums.foreign) == (1, 0)
     assert pale.sums.labels == (analysis.LabelSums(1, 0),)
+
+
+@pytest.fixture
+def covered(tmp_path, monkeypatch):
+    """A weak label that one pixel in eight cells shows, under a strong one that covers it."""
+    monkeypatch.chdir(tmp_path)
+    strong, weak = np.zeros((2, 32, 64, 4), np.float32)
+    strong[:] = (0.5, 0, 0, 0.5)
+    weak[:] = (0, 0.05, 0, 0.25)
+    strong[20, 40] = 0
+    hpcomp.write_image("roads.exr", strong)
+    hpcomp.write_image("woods.exr", weak)
+    hpcomp.write_image("grey.exr", np.full((32, 64, 4), 0.25, np.float32))
+    hpcomp.stack(["grey.exr", "woods.exr", "roads.exr"], "out.exr", op="plus")
+    return {"layers": ["grey.exr", "woods.exr", "roads.exr"], "op": "plus"}
+
+
+def test_visible_is_counted_in_cells(covered):
+    found = hpcomp.check("out.exr", **covered, min_visible="12%")
+    grey, woods, roads = found.sums.labels
+    assert grey == analysis.LabelSums(0, 0, 0)
+    assert woods == analysis.LabelSums(32 * 64, 1, 256)
+    assert (roads.visible, roads.pixels) == (32 * 64 - 1,) * 2
+    # Grey contributes nowhere, and no rule for all is about it.
+    assert [(verdict.label, verdict.measured, verdict.passed) for verdict in found.verdicts] == [
+        ("layer 1 (woods.exr)", 0.125, True),
+        ("layer 2 (roads.exr)", 1.0, True),
+    ]
+    assert found.visible_share == (256 + 2047) / (2048 + 2047)
+
+
+def test_cells_are_counted_from_the_canvas(covered):
+    hpcomp.stack(covered["layers"], "out.exr", op="plus", region="34x20+30+7")
+    found = hpcomp.check("out.exr", **covered, min_visible=0)
+    # Of the cell of (40, 20) the region has columns 32 to 47 and rows 16 to 26.
+    assert found.sums.labels[1] == analysis.LabelSums(34 * 20, 1, 16 * 11)
+
+
+@pytest.mark.parametrize(
+    ("asked", "failed"),
+    [
+        ("12%", []),
+        (0.125, []),
+        ("13%", [1]),
+        (["13%", "layer:woods=12.5%"], []),
+        (["layer:1=12.5%", 1], []),
+        (["layer:woods=0.126"], [1]),
+        (["layer:roads=100%"], []),
+        (["layer:grey=0"], []),
+        (["layer:grey=1%", "layer:2=1"], [0]),
+    ],
+    ids=str,
+)
+def test_a_rule_for_one_layer_goes_before_that_for_all(covered, asked, failed):
+    found = hpcomp.check("out.exr", **covered, min_visible=asked)
+    assert found.passed == (not failed)
+    assert [v.label for v in found.verdicts if not v.passed] == [
+        found.labels[number].text for number in failed
+    ]
+    assert {v.rule for v in found.verdicts} == {"min-visible"}
+
+
+@pytest.mark.parametrize(
+    ("asked", "message"),
+    [
+        ("lots", "'lots' is not a share"),
+        ("101%", "is not a share"),
+        ("layer:roads", "no share and no layer's: write 95%, layer:1=90% or layer:NAME=90%"),
+        ("roads=90%", "no share and no layer's"),
+        ("layer:roads=", "'' is not a share"),
+        ("layer:raods=90%", "'layer:raods' is not one of the layers.*did you mean 'roads'"),
+        ("layer:3=90%", "is not one of the layers: there is layer 0"),
+        (["90%", "95%"], "'95%' comes after another: give one of each"),
+        (["layer:roads=90%", "layer:2=95%"], "'layer:2=95%' comes after another"),
+    ],
+    ids=str,
+)
+def test_what_least_visible_can_be(covered, asked, message):
+    with pytest.raises(SettingError, match=message):
+        hpcomp.check("out.exr", **covered, min_visible=asked)
+
+
+def test_visible_is_about_layers(covered):
+    with pytest.raises(SettingError, match="--min-visible is about layers: a check against --hues"):
+        hpcomp.check("out.exr", hues="0", min_visible="95%")
 
 
 # ---- hues ----------------------------------------------------------------------------------------
@@ -508,6 +595,35 @@ def test_a_failed_check_is_exit_6_and_a_line_for_each_rule(desk, layers):
     assert run.stdout.decode().count("  passed ") == 1
 
 
+def test_a_label_that_is_too_little_visible_is_exit_6(desk):
+    code = np.zeros((16, 64, 4), int)
+    code[:] = (200, 0, 0, 255)
+    for name, change in (("red", None), ("blue", (0, 0, 200, 255))):
+        samples = code.copy()
+        if change:
+            samples[:, 32:] = change
+        write_codes(str(desk / f"{name}.png"), samples)
+    desk.makes("stack", "red.png", "blue.png::opacity=0.5", "-o", "two.png", "--order", "top-down")
+    asked = ["check", "two.png", "red.png", "blue.png::opacity=0.5", "--min-visible", "95%"]
+    run = desk.run(*asked, "-q")
+    data = json.loads(desk.run(*asked, "--format", "json", "-q").stdout)
+    shares = [label["visible_share"] for label in data["labels"]]
+    assert run.code == 6
+    (low,) = [share for share in shares if share < 0.95]
+    (line,) = run.lines
+    number = shares.index(low)
+    assert line.startswith(f"hpcomp: check failed: two.png: --min-visible: layer {number} (")
+    assert line.endswith(f" is visible in {low:.3%} of its pixels, at least 95% must be")
+    text = run.stdout.decode()
+    assert f"visible in {low:.3%} of them" in text
+    assert "layers visible" in text
+    rules = [(rule["rule"], rule["limit"], rule["passed"]) for rule in data["rules"]]
+    assert sorted(rules) == [("min-visible", 0.95, False), ("min-visible", 0.95, True)]
+    visible, pixels = (sum(label[key] for label in data["labels"]) for key in ("visible", "pixels"))
+    assert data["layers_visible_share"] == visible / pixels
+    assert desk.run(*asked, "--min-visible", f"layer:{number}=1%", "-q").code == 0
+
+
 def test_the_verdict_as_json(desk, layers):
     for name, code in (("out.png", 0), ("plain.png", 6)):
         run = desk.run("check", name, *layers, "--max-foreign", "1%", "--format", "json")
@@ -535,6 +651,7 @@ def test_the_picture_may_come_through_a_pipe(desk, layers):
         (["out.png", "red.exr"], 2, ["without a rule", "--max-foreign"]),
         (["out.png"], 2, ["without a rule"]),
         (["out.png", "--max-foreign", "1%"], 2, ["--hues"]),
+        (["out.png", "red.exr", "--min-visible", "layer:rad=90%"], 2, ["layer:rad", "did you mean 'red'"]),
         (["out.png", "red.exr", "--max-foreign", "x"], 2, ["'x'", "share"]),
         (["out.png", "none.exr", "--max-foreign", "1%"], 3, ["layer 0 (none.exr)"]),
         (["none.png", "red.exr", "--max-foreign", "1%"], 3, ["picture (none.png)"]),

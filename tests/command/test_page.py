@@ -17,7 +17,7 @@ import pytest
 from command import Desk
 from hypothesis import given
 from hypothesis import strategies as st
-from stackreports import HOSTILE, LABELS, LAYERS, SIZE, hostile_report, report_of
+from stackreports import HOSTILE, LABELS, LAYERS, SIZE, hostile_report, report_of, three_results
 
 import hpcomp
 from hpcomp import hue_histogram
@@ -85,6 +85,7 @@ PAGES = {
     "background": as_html(report_of(background=(0.1, 0.3, 0.1), order="simultaneous")),
     "hues": huepage.as_html(HUES, Look()),
     "one image": huepage.as_html(HUES[1:2], Look(scale="log", weight="chroma")),
+    "three results": as_html(three_results()),
     "fine bins": as_html(report_of(bins=3600)),
 }
 
@@ -238,12 +239,35 @@ def test_command_that_is_plain_is_shown_as_it_is():
 # ---- what a stack's page says ----------------------------------------------------------------
 
 
+def test_a_third_result_has_its_numbers_and_its_picture():
+    report = three_results()
+    read = Page(PAGES["three results"])
+    found = report.summary.measures
+    terms = [text for text in ("woven", "traditional", "hue-preserving") if text in read.texts["dt"]]
+    assert terms == ["woven", "traditional", "hue-preserving"]
+    for result in found.results.values():
+        for value in (result.foreign_share, result.lost, result.visible_share):
+            assert percent(value) in read.texts["dd"]
+        assert f" {percent(result.layers[2].visible_share)}" in " " + read.texts["td"]
+    assert "All charts have one scale" in read.texts["main"]
+    assert "Small print: traditional and hue-preserving blending." in read.texts["caption"]
+    chosen = ["selected" in option for option in read.all("option")]
+    assert chosen == [True, False, False, False, False, True]
+    assert read.texts["option"] == "traditionalhue-preservingwoven (the file)" * 2
+    assert [figure.get("class") for figure in read.all("figure") if "data-picture" in figure] == [
+        "before", None, "after"
+    ]  # fmt: skip
+    for picture, image in zip(report.preview.pictures.values(), images_of(read), strict=False):
+        assert np.array_equal(picture, image)
+    assert "select" not in Page(PAGES["stack"]).texts
+
+
 def test_numbers_of_a_stack():
     read = Page(PAGES["stack"])
     found = REPORT.summary.measures
     said = read.texts["dd"]
     for result in (found.result, found.traditional):
-        for value in (result.foreign_share, result.foreign_chroma_share, result.lost):
+        for value in (result.foreign_share, result.foreign_chroma_share, result.lost, result.visible_share):
             assert percent(value) in said
         assert percent(result.energy() / found.pixels) in said
     assert percent(found.order_sensitivity) in said
@@ -251,6 +275,7 @@ def test_numbers_of_a_stack():
     assert "more than 4° from that of every layer" in read.texts["main"]
     assert read.texts["header"].count("Every coloured pixel has the hue of something") == 1
     assert f"{percent(found.traditional.foreign_share)} have not" in read.texts["header"]
+    assert f"A reader finds {percent(found.result.visible_share)} of what" in read.texts["header"]
     assert "1.2.3" in said
     assert "kernel" in said
 
@@ -273,7 +298,7 @@ def test_rows_of_layers():
         assert name in read.texts["th"]
     assert "layer 0" not in read.texts["th"]
     found = REPORT.summary.measures.result.layers[2]
-    for words in (f"{found.pixels:,}", percent(found.survived_share), percent(found.lost)):
+    for words in (f"{found.pixels:,}", percent(found.survived_share), percent(found.visible_share), percent(found.lost)):
         assert words in read.texts["td"]
     assert "background" not in read.texts["th"]
     assert "background" in Page(PAGES["background"]).texts["th"]
@@ -293,8 +318,10 @@ def images_of(read):
 def test_pictures_are_those_of_the_preview():
     read = Page(PAGES["stack"])
     plain, ours, *masks = images_of(read)
-    assert np.array_equal(plain, REPORT.preview.traditional)
-    assert np.array_equal(ours, REPORT.preview.result)
+    assert np.array_equal(plain, REPORT.preview.pictures["traditional"])
+    assert np.array_equal(ours, REPORT.preview.pictures["hue-preserving"])
+    assert "hue-preserving (the file)" in read.texts["figcaption"]
+    assert "traditional (the file)" not in read.texts["figcaption"]
     numbers = [int(i["id"].removeprefix("map-")) for i in read.all("img") if "id" in i]
     assert len(masks) == len(numbers)
     whole = np.zeros(SIZE[::-1], int)
@@ -538,6 +565,37 @@ def test_slider_by_mouse(tab, files):
 
 
 @needs_browser
+def test_any_two_of_three_pictures_are_compared(tab, files):
+    """By keys alone; what is chosen at one side leaves the other, and the slider says what it moves."""
+    tab.open(files / "three results.html")
+
+    def shown():
+        """Names of the pictures at the left and at the right, as drawn."""
+        return tab.value(
+            "['before', 'after'].map((side) => [...document.querySelectorAll('.compare figure')].filter("
+            "(f) => f.checkVisibility() && f.classList.contains(side)).map((f) => f.dataset.name).join())"
+        )
+
+    said = "document.getElementById('split').getAttribute('aria-valuetext')"
+    assert shown() == ["traditional", "woven"]
+    assert tab.value(said) == "50% traditional, 50% woven"
+    tab.value("document.getElementById('left').focus()")
+    tab.page.keyboard.press("ArrowDown")
+    assert shown() == ["hue-preserving", "woven"]
+    assert tab.value(said) == "50% hue-preserving, 50% woven"
+    tab.page.keyboard.press("ArrowDown")  # the one at the right: they change places
+    assert shown() == ["woven", "hue-preserving"]
+    assert tab.value("document.getElementById('right').value") == "1"
+    tab.value("document.getElementById('right').focus()")
+    tab.page.keyboard.press("ArrowUp")
+    assert shown() == ["woven", "traditional"]
+    tab.value("document.getElementById('split').focus()")
+    tab.page.keyboard.press("End")
+    assert tab.value(said) == "100% woven, 0% traditional"
+    assert tab.value("document.querySelectorAll('.compare figure').length") == 3
+
+
+@needs_browser
 def test_pictures_are_clipped_where_the_slider_is(tab, files):
     """At either end, one picture alone is seen, and transparent parts show no other picture."""
     shots = {}
@@ -557,7 +615,7 @@ def test_pictures_are_clipped_where_the_slider_is(tab, files):
         shots[key] = np.array(
             [[shot[int(box[1] + (r + 0.5) * zoom), int(box[0] + (c + 0.5) * zoom), :3] for c in range(SIZE[0])] for r in rows]
         )
-        wanted = {"Home": REPORT.preview.result, "End": REPORT.preview.traditional}[key][rows]
+        wanted = REPORT.preview.pictures[{"Home": "hue-preserving", "End": "traditional"}[key]][rows]
         opaque = wanted[..., 3] == 255
         assert opaque.sum() > 200
         assert np.abs(shots[key][opaque].astype(int) - wanted[opaque][:, :3]).max() <= 2

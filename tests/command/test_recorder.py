@@ -11,6 +11,7 @@ import logging
 import os
 import re
 import signal
+from pathlib import Path
 
 import exrfile
 import numpy as np
@@ -29,6 +30,7 @@ from hpcomp.color.quantization import Losses
 from hpcomp.color.samples import encode
 from hpcomp.engine import choice as engine
 from hpcomp.geometry import Window
+from hpcomp.layers import budget
 from hpcomp.measures import labels as measures
 from hpcomp.options import stack_rules
 from hpcomp.report import measures as report_of_measures
@@ -168,6 +170,77 @@ def test_neither_threads_nor_strips_show(here, caplog, order):
         assert bytes_of(here, *names, "p.exr") == expected
     strips = re.findall(r"in strips of (\d+) rows", caplog.text)
     assert len(set(strips)) > 1
+
+
+@pytest.fixture
+def sparse(tmp_path, monkeypatch):
+    """A label that shines through another here and there; its canvas begins away from the origin."""
+    monkeypatch.chdir(tmp_path)
+    rng = np.random.default_rng(6)
+    canvas = (5, -9, WIDTH, HEIGHT)
+    for name, color in (("strong", (0.6, 0, 0, 0.6)), ("weak", (0, 0.05, 0, 0.2))):
+        there = rng.random((HEIGHT, WIDTH)) > (0.004 if name == "strong" else 0.1)
+        values = {c: (there * v).astype(np.float32) for c, v in zip("RGBA", color, strict=True)}
+        exrfile.write(tmp_path / f"{name}.exr", values, origin=canvas[:2], display=canvas)
+    # It reaches over the canvas' left and upper borders.
+    exrfile.write(
+        tmp_path / "over.exr",
+        {c: np.full((20, 30), v, np.float32) for c, v in zip("RGBA", (0, 0, 0.05, 0.1), strict=True)},
+        origin=(-8, -20),
+        display=canvas,
+    )
+    return ["strong.exr", "weak.exr", "over.exr"]
+
+
+@pytest.mark.parametrize("name", ENGINES)
+@pytest.mark.parametrize(
+    "part",
+    [
+        {},
+        {"region": "61x77+12+4"},
+        {"region": "7x5+30+0"},
+        {"region": "1x1+94+140"},
+        {"overscan": True},
+        {"overscan": True, "region": "50x140-6-17"},
+    ],
+    ids=str,
+)
+def test_cells_lie_on_the_canvas_whatever_the_strips(sparse, monkeypatch, name, part):
+    """Of the part that is made, cells are those of the whole canvas."""
+    monkeypatch.setenv(engine.VARIABLE, name)
+    asked = {"op": "plus", "report": ["r.json", "r.txt"], "format": "png", **part}
+    hpcomp.stack(sparse, "out.png", threads=1, **asked)
+    expected = bytes_of(Path(), "r.json", "r.txt")
+    memory = least_memory(sparse, "out.png", **asked)
+    for threads, max_memory, rows in itertools.product((1, 3), ("1G", memory), (1, 16, 40)):
+        monkeypatch.setattr(budget, "STRIP_ROWS", rows)
+        hpcomp.stack(sparse, "out.png", threads=threads, max_memory=max_memory, **asked)
+        assert bytes_of(Path(), "r.json", "r.txt") == expected
+    # The same pixels as arrays.
+    wanted = hpcomp.stack(sparse, "part.exr", op="plus", depth="float", **part).data_window
+    layers = np.zeros((3, wanted.height, wanted.width, 4), np.float32)
+    for array, path in zip(layers, sparse, strict=True):
+        layer = hpcomp.read_layer(path)
+        common = layer.data_window.intersection(wanted)
+        if common is None:
+            continue
+        there, here = (
+            common.moved(-of.x, -of.y).slices for of in (layer.data_window, wanted)
+        )
+        array[here] = layer.pixels[there]
+    found = hpcomp.stack_measures(
+        layers, op="plus", half_step=measures.HALF_STEP_8_BIT, origin=(wanted.x - 5, wanted.y + 9)
+    )
+    document = json.loads(Path("r.json").read_text())["measures"]
+    for which in ("result", "traditional"):
+        for layer, expected_layer in zip(
+            document[which]["layers"], getattr(found, which).layers, strict=True
+        ):
+            assert layer["visible_pixels"] == expected_layer.visible
+            assert layer["visible_share"] == expected_layer.visible_share
+        assert document[which]["visible_share"] == getattr(found, which).visible_share
+    if wanted.pixels > 1000:
+        assert 0.2 < found.result.layers[1].visible_share < 0.9
 
 
 @pytest.mark.parametrize("out", ["out.png", "out.exr"])

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pngfile
 import pytest
-from stackreports import HOSTILE, LABELS, LAYERS, hostile_report, report_of
+from stackreports import HOSTILE, LABELS, LAYERS, hostile_report, report_of, three_results
 
 from hpcomp import MismatchError, SettingError
 from hpcomp.report import huedata, measures, stackdata
@@ -107,7 +107,8 @@ def test_json_document():
 
 
 def test_every_key_of_json_is_documented_and_no_other():
-    document = stackdata.as_data(report_of(background=(0.1, 0.2, 0.1)))
+    assert list(stackdata.as_data(REPORT)) == [k for k in stackdata.JSON_KEYS if k != "hue_preserving"]
+    document = stackdata.as_data(three_results())
     assert list(document) == list(stackdata.JSON_KEYS)
     words = stackdata.JSON_KEYS["measures"]
 
@@ -138,6 +139,45 @@ def test_csv_has_the_rows_of_all_histograms():
     assert len(rows) == len(NAMES) * (360 + 3)
     result = [int(row["count"]) for row in rows if row["image"] == "result" and row["kind"] == "hue"]
     assert result == REPORT.summary.result.count.tolist()
+    found = REPORT.summary.measures
+    for row in rows:
+        assert list(row)[-2:] == ["visible_share", "traditional_visible_share"]
+        number = NAMES.index(row["image"])
+        for column, of in zip(list(row)[-2:], (found.result, found.traditional), strict=True):
+            visible = of.layers[number] if number < len(LABELS) else of
+            assert float(row[column]) == visible.visible_share
+
+
+def test_a_third_result_is_beside_the_others():
+    report = three_results()
+    found = report.summary.measures
+    assert list(found.results) == list(report.summary.results) == ["result", "traditional", "hue_preserving"]
+    data = json.loads(render_stack_report(report, "json"))
+    assert data["measures"]["hue_preserving"]["visible_share"] == found.hue_preserving.visible_share
+    assert data["hue_preserving"] == json.loads(
+        json.dumps(huedata.histogram_data(report.summary.hue_preserving))
+    )
+    text = render_stack_report(report, "text").decode().splitlines()
+    assert text[2].split() == ["result", "traditional", "hue-preserving"]
+    shares = [f"{of.visible_share:.3%}" for of in found.results.values()]
+    assert ["visible", *shares] in [line.split() for line in text]
+    of_layer = [f"{of.layers[1].visible_share:.3%}" for of in found.results.values()]
+    assert [*LABELS[1].split(), "visible", *of_layer] in [line.replace(": ", " ").split() for line in text]
+    assert sum(line.startswith("background: ") for line in text) == 3
+    rows = list(csv.DictReader(io.StringIO(render_stack_report(report, "csv").decode(), newline="")))
+    assert [row["image"] for row in rows if row["kind"] == "grey"] == [*NAMES, "hue-preserving"]
+    assert float(rows[-1]["hue_preserving_visible_share"]) == found.hue_preserving.visible_share
+    assert found + found == replace(
+        found, **{name: getattr(found, name) + getattr(found, name)
+                  for name in ("result", "traditional", "hue_preserving", "pixels", "unmeasured", "order_sensitive")}
+    )  # fmt: skip
+    assert found.results["hue_preserving"] == REPORT.summary.measures.result
+
+
+def test_figure_of_three_results():
+    pytest.importorskip("matplotlib")
+    svg = render_stack_report(three_results(), "svg").decode()
+    assert "hue-preserving" in svg
 
 
 # ---- text and figures ------------------------------------------------------------------------
@@ -165,10 +205,13 @@ def test_figure_says_what_became_of_hues(monkeypatch):
     found = REPORT.summary.measures
     for result in (found.result, found.traditional):
         (line,) = [text for text in said if text.startswith(f"foreign hue: {percent(result.foreign_share)} of pixels")]
-        assert line.endswith(f"lost to grey: {percent(result.lost)} of chroma")
+        assert line.endswith(f"lost to grey: {percent(result.lost)} of chroma; visible: {percent(result.visible_share)}")
     assert "contributes no hue" in said
     layer = found.result.layers[1]
-    assert f"hue survived in {percent(layer.survived_share)} of {layer.pixels} px, lost to grey: {percent(layer.lost)} of chroma" in said
+    assert (
+        f"visible in {percent(layer.visible_share)} of {layer.pixels} px, hue survived in "
+        f"{percent(layer.survived_share)}, lost to grey: {percent(layer.lost)} of chroma"
+    ) in said
     assert [text for text in said if text in NAMES] == NAMES
 
 

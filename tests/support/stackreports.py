@@ -14,7 +14,7 @@ from hpcomp.color.quantization import Losses, to_straight_srgb
 from hpcomp.measures.labels import ENERGY_WEIGHTS, measure_settings
 from hpcomp.measures.summary import summary_of
 from hpcomp.options import stack_rules
-from hpcomp.report.stackreport import Preview, StackReport
+from hpcomp.report.stackreport import TRADITIONAL, Preview, StackReport, result_name
 
 SIZE = 48, 32
 
@@ -65,8 +65,9 @@ def report_of(
         composited = hpcomp.composite(layers, **{**rules, "blending": blending})
         return to_straight_srgb(composited, np.uint8, Losses())
 
+    own = result_name(checked.blending.name)
     pictures = Preview(
-        shown(checked.blending.name), shown("traditional"), provenance.layer, 4
+        {TRADITIONAL: shown(TRADITIONAL), own: shown(checked.blending.name)}, own, provenance.layer, 4
     )
     return StackReport(
         output="map.png",
@@ -81,11 +82,34 @@ def report_of(
     )
 
 
+def three_results() -> StackReport:
+    """A report with a third result beside its own and the traditional one, as woven stacks have."""
+    report, other = report_of(background=(0.1, 0.3, 0.1), order="simultaneous"), report_of()
+    assert report.preview is not None and other.preview is not None
+    summary = replace(
+        report.summary,
+        hue_preserving=other.summary.result,
+        measures=replace(report.summary.measures, hue_preserving=other.summary.measures.result),
+    )
+    own = report.preview.pictures["hue-preserving"][:, ::-1]
+    pictures = {**other.preview.pictures, "woven": own}
+    return replace(
+        report,
+        settings={"blending": "woven"},
+        summary=summary,
+        preview=replace(report.preview, pictures=pictures, of_file="woven"),
+    )
+
+
 def hostile_report() -> StackReport:
     """Everything that a report is given as text is hostile."""
     layers = [LAYERS[k % len(LAYERS)] for k in range(len(HOSTILE))]
+    report = report_of(layers, HOSTILE)
+    assert report.preview is not None
+    pictures = dict(zip(HOSTILE, report.preview.pictures.values(), strict=False))
     return replace(
-        report_of(layers, HOSTILE),
+        report,
+        preview=replace(report.preview, pictures=pictures, of_file=HOSTILE[1]),
         output=HOSTILE[0],
         command=shlex.join(["hpcomp", "stack", *HOSTILE, "-o", HOSTILE[1]]),
         settings={HOSTILE[0]: HOSTILE[1], "blending": HOSTILE[1]},
