@@ -939,7 +939,7 @@ STATEMENTS = {
                   "SettingError", "InputError", "MismatchError", "Warnings:"],
     "write_hue_report": ["`histograms`", "`output`", "`format`", "`weight`", "`scale`", "`axes`",
                          "`clobber`", "hpcomp hues", "Errors:", "SettingError", "OutputError"],
-    "stack_measures": ["(…, 4)", "linear", "premultiplied", "degrees", "Returns:", "Errors:",
+    "stack_measures": ["(…, height, width, 4)", "(n, 4)", "`origin`", "linear", "premultiplied", "degrees", "Returns:", "Errors:",
                        "SettingError", "MismatchError", "Chuang et al. 2009"],
     "explain": ["`layers`", "`at`", "canvas", "degrees", "linear", "premultiplied", "Returns:",
                 "Errors:", "SettingError", "InputError", "MismatchError", "Warnings:"],

@@ -85,7 +85,8 @@ def report_of(
 def three_results() -> StackReport:
     """A report with a third result beside its own and the traditional one, as woven stacks have."""
     report, other = report_of(background=(0.1, 0.3, 0.1), order="simultaneous"), report_of()
-    assert report.preview is not None and other.preview is not None
+    assert report.preview is not None
+    assert other.preview is not None
     summary = replace(
         report.summary,
         hue_preserving=other.summary.result,
