@@ -45,7 +45,7 @@ def numbers(found):
                     yield from ((f"{name}[{index}].{i}", number) for i, number in numbers(item))
                 else:
                     yield f"{name}[{index}]", item
-        elif not isinstance(value, (str, float)):
+        elif value is not None and not isinstance(value, (str, float)):
             yield name, value
 
 
