@@ -130,7 +130,9 @@ class Sums:
 
 
 def _added(a: Any, b: Any) -> Any:
-    if a is None and b is None:
+    if a is None or b is None:
+        if a is not b:
+            raise SettingError("measures of a woven stack and of another do not add up")
         return None
     if isinstance(a, tuple):
         return tuple(x + y for x, y in zip(a, b, strict=True))

@@ -95,7 +95,9 @@ def as_text(result: CheckResult) -> str:
          f"{result.grey_share:.3%} {'of the chroma' if of_layers else 'of the visible pixels'}"),
     ]  # fmt: skip
     if of_layers:
-        rows.append(("layers visible", f"in {result.visible_share:.3%} of their pixels"))
+        anything = any(seen.pixels for seen in sums.labels)
+        together = f"in {result.visible_share:.3%} of their pixels"
+        rows.append(("layers visible", together if anything else "none contributes a hue"))
     for label, seen in zip(result.labels, sums.labels, strict=True):
         found = f"seen in {seen.share:.3%} of {seen.pixels} pixels"
         if label.number is not None:

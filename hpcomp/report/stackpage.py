@@ -22,6 +22,8 @@ _PICTURES = {
     TRADITIONAL: "the layers added as usual",
     "hue-preserving": "the layers added so that hues stay",
 }
+#: What is said of the picture that is the file's.
+_OF_FILE = "(the file)"
 #: What stands for a layer without any hue.
 _COLORLESS = "#808080"
 
@@ -108,14 +110,12 @@ def _frame(report: StackReport, preview: Preview) -> tuple[Node, ...]:
 def _side(side: str, title: str, preview: Preview, chosen: str) -> Node:
     """What chooses the picture at one side of the line."""
     options = [
-        h.option(value=str(number), selected=name == chosen)[_caption(name, preview)]
+        h.option(value=str(number), selected=name == chosen)[
+            f"{name} {_OF_FILE}" if name == preview.of_file else name
+        ]
         for number, name in enumerate(preview.pictures)
     ]
     return h.label[h.span[title], " ", h.select(id=side, aria_controls="compare")[lines(*options)]]
-
-
-def _caption(name: str, preview: Preview) -> str:
-    return f"{name} (the file)" if name == preview.of_file else name
 
 
 def _picture(number: int, name: str, preview: Preview, kind: str | None) -> Node:
@@ -132,7 +132,7 @@ def _picture(number: int, name: str, preview: Preview, kind: str | None) -> Node
         draggable="false",
     )
     return h.figure(class_=kind, data_picture=str(number), data_name=name)[
-        image, h.figcaption[_caption(name, preview)]
+        image, h.figcaption[name, [" ", h.span[_OF_FILE]] if name == preview.of_file else ""]
     ]
 
 

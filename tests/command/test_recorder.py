@@ -305,6 +305,15 @@ def test_result_is_what_hues_counts_of_an_exact_file(here):
     assert counts == found.result.count.tolist()
 
 
+@pytest.mark.parametrize("blending", ["hue-preserving", "traditional", "foremost"])
+def test_the_page_says_which_picture_is_the_files(here, blending):
+    hpcomp.stack(LAYERS, "out.png", blending=blending, report="r.html")
+    page = Path("r.html").read_text()
+    captions = re.findall(r"<figcaption>(.*?)</figcaption>", page.partition('id="hues"')[0])
+    own = "result" if blending == "traditional" else blending
+    assert [re.sub("<.*?>", "", caption) for caption in captions] == ["traditional", f"{own} (the file)"]
+
+
 @pytest.mark.parametrize("order", ORDERS)
 def test_three_labels_stay_three_hues(here, order):
     """The paper's claim, through files: three lines with ⊕, a smear with +."""

@@ -171,6 +171,8 @@ def test_a_third_result_is_beside_the_others():
         found, **{name: getattr(found, name) + getattr(found, name)
                   for name in ("result", "traditional", "hue_preserving", "pixels", "unmeasured", "order_sensitive")}
     )  # fmt: skip
+    with pytest.raises(SettingError, match="woven stack and of another do not add up"):
+        found + replace(found, hue_preserving=None)
     assert found.results["hue_preserving"] == REPORT.summary.measures.result
 
 

@@ -541,9 +541,22 @@ class TestBinding:
             measure(make_measures(provenance=None, **{name: value}))
 
     def test_too_many_layers_or_bins(self):
-        for wrong in ({"layers": (1 << 20) + 1}, {"bins": (1 << 16) + 1}):
+        large = {"width": 1 << 29, "height": 1 << 29, "provenance": None}
+        for wrong in ({"layers": (1 << 20) + 1}, {"bins": (1 << 16) + 1}, large):
             with refused():
                 make_measures(**wrong)
+
+    @pytest.mark.parametrize("place", [0, -1, 15, 16, -(2**63), 2**63 - 1])
+    def test_a_strip_may_lie_anywhere(self, place):
+        expected = measure(make_measures(left=place % 16, top=place % 16))
+        found = measure(make_measures(left=place, top=place))
+        for one, two in zip(expected.result.layers, found.result.layers, strict=True):
+            assert (one.pixels, one.visible) == (two.pixels, two.visible)
+        for wrong in (2**63, 0.5, None, "0"):
+            with refused():
+                make_measures(left=wrong)
+            with refused():
+                make_measures(top=wrong)
 
     @pytest.mark.parametrize("limit", ["half_step", "achromatic", "foreign_sine", "foreign_cosine"])
     def test_limits(self, limit):
