@@ -142,7 +142,8 @@ def check_contents(sdist: Path, wheel: Path, python: Python) -> None:
         kernel, tag = f"hpcomp/kernel/_kernel.cpython-{version}-*.so", f"cp{version}-cp{version}-"
     assert tag in wheel.name, f"{wheel.name} is not tagged {tag}"
     names = [Path(name) for name in zipfile.ZipFile(wheel).namelist()]
-    for pattern in [kernel, "hpcomp/py.typed", "hpcomp/report/page.css", "hpcomp/report/page.js"]:
+    data = ["blending/bluenoise.npy", "py.typed", "report/page.css", "report/page.js"]
+    for pattern in [kernel, *(f"hpcomp/{name}" for name in data)]:
         assert any(name.match(pattern) for name in names), f"the wheel lacks {pattern}"
     share = Path(f"{stem}.data/data/share")
     pages = {share / name for name in tracked if re.fullmatch(r"man/man\d/.*", name)}
@@ -150,7 +151,7 @@ def check_contents(sdist: Path, wheel: Path, python: Python) -> None:
     assert pages <= set(names), f"the wheel lacks {sorted(pages - set(names))}"
     modules = {Path(name) for name in tracked if re.fullmatch(r"hpcomp/.*\.py", name)}
     assert modules <= set(names), f"the wheel lacks {sorted(modules - set(names))}"
-    allowed = {".py", ".pyi", ".so", ".typed", ".css", ".js", ".1", ".5", ".7"}
+    allowed = {".py", ".pyi", ".so", ".typed", ".css", ".js", ".npy", ".1", ".5", ".7"}
     for name in names:
         if name.parts[0] != f"{stem}.dist-info":
             assert name.suffix in allowed, f"the wheel has {name}"
