@@ -15,11 +15,15 @@ from .geometry import Window
 class PictureKeywords(TypedDict, total=False):
     """What every command that makes one picture takes."""
 
+    preset: str | None
     blending: str
     space: str
     primaries: str
     hue_tolerance: float
     gray_bias: float
+    strength: str
+    weave: str
+    weave_size: int
     exposure: float
     background: str | Sequence[float] | None
     nonfinite: str

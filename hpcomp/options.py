@@ -16,15 +16,13 @@ from typing import Any, TypeVar, get_type_hints
 
 import numpy as np
 
-from .blending.addition import (
-    BLENDINGS,
-    DEFAULT_HUE_TOLERANCE,
-    check_gray_bias,
-    check_hue_tolerance,
-)
+from .blending.addition import DEFAULT_HUE_TOLERANCE, check_gray_bias, check_hue_tolerance
+from .blending.blendings import BLENDINGS
 from .blending.orders import ORDERS, check_order
 from .blending.porter_duff import OPERATOR_NAMES
 from .blending.rules import StackRules, check_exposure, checked_rules
+from .blending.strength import STRENGTHS
+from .blending.weaving import DEFAULT_WEAVE_SIZE, PATTERNS, check_weave_size
 from .color.css import css_color
 from .color.primaries import (
     BOTTOM,
@@ -113,6 +111,8 @@ def _checked(item: Field[Any], value: Any) -> Any:
     except SettingError:
         raise
     except (TypeError, ValueError):
+        if option.choices and option.check is None:
+            raise unknown_name(option.noun, str(value), option.choices) from None
         takes = str(option.takes or item.type).replace("hpcomp.geometry.", "")
         raise SettingError(
             f"{item.name.replace('_', ' ')} is {value!r}: it takes {takes}"
@@ -174,10 +174,37 @@ def _names(given: str | Sequence[str]) -> tuple[str, ...]:
     return (given,) if isinstance(given, str) else tuple(given)
 
 
+#: The options that a preset chooses; one that is given beside it stays as it is given.
+PRESET_OPTIONS = (
+    *("blending", "order", "space", "strength", "hue_tolerance", "gray_bias"),
+    *("weave", "weave_size"),
+)
+
+#: What each preset chooses where it is not the default: what `labels` is best at was measured, see
+#: `tests/bench/README.md`.
+PRESETS: dict[str, dict[str, Any]] = {
+    "paper": {},
+    "labels": {
+        "order": "simultaneous",
+        "space": "oklab",
+        "strength": "coverage",
+        "gray_bias": 1.0,
+    },
+    "woven": {"blending": "woven", "strength": "coverage"},
+}
+
+
 @dataclass(frozen=True)
 class RuleOptions(_Group):
     """What decides the colour of a pixel, and what is refused."""
 
+    preset: str | None = _option(
+        None,
+        "A set of choices, of which options that are given override single ones: paper (the "
+        "defaults), labels (translucent labels that overlap), woven (every label is seen).",
+        choices=tuple(PRESETS),
+        noun="preset",
+    )
     op: str = _option(
         "over",
         "Operator of the layers that name none.",
@@ -187,8 +214,8 @@ class RuleOptions(_Group):
     )
     blending: str = _option(
         "hue-preserving",
-        "How colours are added: the stronger one keeps its hue, hues mix as usual, or the one in "
-        "front keeps its hue.",
+        "How colours are added: the stronger one keeps its hue, hues mix as usual, the one in "
+        "front keeps its hue, or a pattern shows each hue in turn.",
         choices=tuple(BLENDINGS),
         noun="blending",
     )
@@ -220,6 +247,25 @@ class RuleOptions(_Group):
         "How much less different hues cancel each other to grey; 0 is the paper's operator.",
         metavar="0…1",
         check=check_gray_bias,
+    )
+    strength: str = _option(
+        "chroma",
+        "What a colour is as strong as where hues compete: its chroma, as in the paper; its chroma "
+        "as it is perceived; or the share of a pixel that it covers.",
+        choices=tuple(STRENGTHS),
+        noun="strength",
+    )
+    weave: str = _option(
+        "stripes",
+        "Pattern of woven blending: diagonal stripes, or noise.",
+        choices=tuple(PATTERNS),
+        noun="weave",
+    )
+    weave_size: int = _option(
+        DEFAULT_WEAVE_SIZE,
+        "Period of the stripes, or size of a cell of the noise, in pixels, 2 to 1024.",
+        metavar="PIXELS",
+        check=check_weave_size,
     )
     exposure: float = _option(
         0.0, "Brighten or darken the result.", metavar="STOPS", check=check_exposure
@@ -260,6 +306,9 @@ class RuleOptions(_Group):
             background=background,
             exposure=self.exposure,
             primaries=name,
+            strength=self.strength,
+            weave=self.weave,
+            weave_size=self.weave_size,
         )
 
 
@@ -440,10 +489,12 @@ class StackOptions:
     ) -> StackOptions:
         """From options by name; the others are those of `base`, or have their defaults.
 
-        `names`: those that may be given, all if None. Errors: `SettingError` for a value, and for
-        another option that `base` has; `TypeError` for another name.
+        A preset chooses those that are not given beside it. `names`: those that may be given, all
+        if None. Errors: `SettingError` for a value, and for another option that `base` has;
+        `TypeError` for another name.
         """
         valid = OPTIONS if names is None else tuple(names)
+        given = {**_preset(given.get("preset")), **given}
         groups: dict[str, dict[str, Any]] = {}
         for name, value in given.items():
             if name not in valid:
@@ -515,6 +566,14 @@ OPTIONS: dict[str, NamedOption] = {
 DEFAULTS = StackOptions()
 
 
+def _preset(name: str | None) -> dict[str, Any]:
+    """All that a preset chooses. Errors: `SettingError` for a name."""
+    if name is None:
+        return {}
+    chosen = PRESETS[OPTIONS["preset"].option.checked(name)]
+    return {option: chosen.get(option, OPTIONS[option].default) for option in PRESET_OPTIONS}
+
+
 def older_spelling(keywords: Any, name: str, value: Any) -> Any:
     """What the keywords of a call, a dict, have under an older spelling, and lose; else `value`."""
     return keywords.pop(name, value)
@@ -554,11 +613,15 @@ def takes_options(*names: str) -> Callable[[F], F]:
 
 #: The options that decide how arrays are composited: all rules but those about files.
 ARRAY_RULES = (
+    "preset",
     "blending",
     "order",
     "space",
     "hue_tolerance",
     "gray_bias",
+    "strength",
+    "weave",
+    "weave_size",
     "background",
     "exposure",
     "primaries",

@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, Any, Unpack
 import numpy as np
 from numpy.typing import NDArray
 
-from ..blending.addition import BLENDINGS, chroma, shoulder, strongest_rivals
-from ..blending.rules import StackRules
+from ..blending.addition import chroma, shoulder, strongest_rivals
+from ..blending.blendings import BLENDINGS
+from ..blending.rules import Chroma, StackRules
 from ..blending.terms import weighted
 from ..color.planes import cross_and_dot
 from ..color.quantization import Losses
@@ -284,7 +285,7 @@ def _layer_steps(
     pixels: Sequence[Rgba],
 ) -> tuple[LayerStep, ...]:
     with np.errstate(all="ignore"):  # a pixel that is let through as it is may be NaN
-        terms = weighted(rules, rules.space, pixels)
+        stack = weighted(rules, pixels, rules.space)
         steps = []
         for number, (spec, strip, rgba) in enumerate(zip(specs, strips, pixels, strict=True)):
             luminance, p = rules.space.forward(rgba.T[:3])
@@ -299,10 +300,10 @@ def _layer_steps(
                     rgba=tuple(rgba[0].tolist()),
                     opacity=rules.opacities[number],
                     operator=None if operator is None else operator.name,
-                    weight=float(terms.weights[number, 0]),
+                    weight=float(stack.weights[number, 0]),
                     hue=_hue(rules, luminance, p),
                     chroma=_size(p),
-                    weighted_chroma=_size(terms.p[number]),
+                    weighted_chroma=_size(stack.terms[number].p),
                 )
             )
     return tuple(steps)
@@ -312,7 +313,7 @@ def _background_step(rules: StackRules, pixels: Sequence[Rgba]) -> BackgroundSte
     if rules.background is None:
         return None
     with np.errstate(all="ignore"):
-        weight = float(1 - weighted(rules, rules.space, pixels).alpha[0])
+        weight = float(1 - weighted(rules, pixels, rules.space).alpha[0])
     luminance, p = rules.space.forward(np.array(rules.background, np.float32)[:, None])
     return BackgroundStep(
         rgb=rules.background,
@@ -400,7 +401,7 @@ class _Trace:
 
     def _meet(self, a: _Party, b: _Party) -> _Party:
         rules = self.rules
-        p, rgb = rules.add(a.p, b.p), None
+        p, rgb = rules.add(Chroma(a.p), Chroma(b.p)).p, None
         if a.rgb is not None and b.rgb is not None and rules.blending_space is not rules.space:
             # Plain + of colours, whose p do not add in this space.
             rgb = a.rgb + b.rgb
@@ -436,7 +437,7 @@ class _Trace:
         luminance = np.sum([party.luminance for party in parties], axis=0)
         if self._keeps_hues:
             self._note_rivals([number for number in range(len(p)) if _size(p[number]) > 0], p)
-        return _Party(numbers, luminance, rules.add_all(p), None)
+        return _Party(numbers, luminance, rules.add_all([Chroma(q) for q in p]).p, None)
 
     def _note_rivals(self, with_hue: Sequence[int], p: Array) -> None:
         if not with_hue:

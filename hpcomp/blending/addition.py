@@ -2,22 +2,21 @@
 
 Luminances always add [R1]; here are only the chroma vectors `p` (2, …), planes first, in any
 blending space. Every angle is between p vectors. The first of two vectors is that of the colour in
-front, which only `foremost` asks.
+front, which only `foremost` asks. What competes are strengths m (…): |p| where none are given.
 Chuang, Weiskopf, Möller: Hue-Preserving Color Blending, 2009; R1–R3 are its requirements.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..color.planes import ratio
-from ..errors import SettingError, unknown_name
+from ..errors import SettingError
 
 Array = NDArray[np.floating[Any]]
 #: Two factors.
@@ -98,14 +97,30 @@ def _biased(share: Array, gray_bias: float) -> Array:
     return share ** (1 + 3 * gray_bias) if gray_bias else share
 
 
-def keep_hue(p1: Array, p2: Array, hue_tolerance: float, gray_bias: float = 0.0) -> Pair:
+def competing(p: Array, strengths: Array | None) -> Array:
+    """What competes: m (n, …) of p (n, 2, …), or |p| where there are no strengths, or all are 0."""
+    lengths = chroma(p.swapaxes(0, 1))
+    if strengths is None:
+        return lengths
+    return np.where((strengths == 0).all(axis=0), lengths, strengths)
+
+
+def keep_hue(
+    p1: Array,
+    p2: Array,
+    hue_tolerance: float,
+    gray_bias: float = 0.0,
+    strengths: Pair | None = None,
+) -> Pair:
     """⊕ of two chroma vectors (2, …): the hue of the stronger one survives.
 
-    The weaker one cancels its own length of it, or less with a bias against grey in [0, 1].
+    The weaker one cancels its own strength of it, or less with a bias against grey in [0, 1].
     Chuang et al. 2009, Algorithm 1 in closed form; opposite colours are never formed, so nothing
     leaves the gamut on the way.
     """
     m1, m2 = chroma(p1), chroma(p2)
+    if strengths is not None:
+        m1, m2 = competing(np.stack([p1, p2]), np.stack(strengths))
     m_big, m_small = np.maximum(m1, m2), np.minimum(m1, m2)
     kept = ratio(m_big - m_small, m_big)
     if gray_bias:
@@ -118,26 +133,42 @@ def keep_hue(p1: Array, p2: Array, hue_tolerance: float, gray_bias: float = 0.0)
     return np.where(unknown, 1, a), np.where(unknown, 1, b)
 
 
-def keep_all(p1: Array, p2: Array, hue_tolerance: float, gray_bias: float = 0.0) -> Pair:
-    """Plain + of two chroma vectors (2, …); tolerance and bias have no part in it."""
+def keep_all(
+    p1: Array,
+    p2: Array,
+    hue_tolerance: float,
+    gray_bias: float = 0.0,
+    strengths: Pair | None = None,
+) -> Pair:
+    """Plain + of two chroma vectors (2, …); nothing else has a part in it."""
     ones = np.ones(p1.shape[1:], p1.dtype)
     return ones, ones
 
 
 def keep_foremost(
-    front: Array, behind: Array, hue_tolerance: float, gray_bias: float = 0.0
+    front: Array,
+    behind: Array,
+    hue_tolerance: float,
+    gray_bias: float = 0.0,
+    strengths: Pair | None = None,
 ) -> Pair:
     """The chroma (2, …) in front, or what is behind where there is none in front.
 
     A baseline: what Chuang et al. 2009, section 7, say of Wang et al. 2008. Not continuous: the
-    least chroma in front decides. Tolerance and bias have no part in it.
+    least chroma in front decides. Tolerance, bias and strengths have no part in it.
     """
     a = (front != 0).any(axis=0)
     unknown = ~(np.isfinite(front) & np.isfinite(behind)).all(axis=0)
     return (a | unknown).astype(front.dtype), (~a | unknown).astype(front.dtype)
 
 
-def keep_hues(p: Array, hue_tolerance: float, gray_bias: float = 0.0) -> Array:
+def keep_hues(
+    p: Array,
+    hue_tolerance: float,
+    gray_bias: float = 0.0,
+    strengths: Array | None = None,
+    phase: Array | None = None,
+) -> Array:
     """⊕ of many chroma vectors at once, p (n, 2, …), whatever their order.
 
     Each term is scaled down by its strongest rival of another hue. Terms without chroma are kept
@@ -145,8 +176,9 @@ def keep_hues(p: Array, hue_tolerance: float, gray_bias: float = 0.0) -> Array:
     """
     n, _, *shape = p.shape
     flat = p.reshape(n, 2, -1)
-    m = chroma(flat.swapaxes(0, 1))
-    has_hue = (m > 0) & np.isfinite(m).all(axis=0)
+    m = competing(flat, None if strengths is None else strengths.reshape(n, -1))
+    size = m if strengths is None else chroma(flat.swapaxes(0, 1))
+    has_hue = (size > 0) & (np.isfinite(size) & np.isfinite(m)).all(axis=0)
     counts = has_hue.sum(axis=0)
     first = np.argsort(~has_hue, axis=0, kind="stable")
     kept = np.ones((n, flat.shape[2]), p.dtype)
@@ -155,21 +187,26 @@ def keep_hues(p: Array, hue_tolerance: float, gray_bias: float = 0.0) -> Array:
         if count > MOST_TABLED:
             for pixel in pixels:
                 numbers = first[:count, pixel]
-                share, _ = strongest_rivals(flat[numbers, :, pixel].T, hue_tolerance, gray_bias)
+                share, _ = strongest_rivals(
+                    flat[numbers, :, pixel].T, hue_tolerance, gray_bias, m[numbers, pixel]
+                )
                 kept[numbers, pixel] = 1 - share
             continue
         # The pair tables hold count² values a pixel: short runs keep them in cache.
         for run in np.array_split(pixels, max(1, len(pixels) * count**2 >> 18)):
             numbers = first[:count, run]
             terms = flat[numbers[:, None], np.arange(2)[None, :, None], run]
-            kept[numbers, run] = 1 - rivalry(terms, hue_tolerance, gray_bias).max(axis=1)
+            cancelled = rivalry(terms, hue_tolerance, gray_bias, m[numbers, run])
+            kept[numbers, run] = 1 - cancelled.max(axis=1)
     return kept.reshape(n, *shape)
 
 
-def rivalry(p: Array, hue_tolerance: float, gray_bias: float = 0.0) -> Array:
+def rivalry(
+    p: Array, hue_tolerance: float, gray_bias: float = 0.0, strengths: Array | None = None
+) -> Array:
     """(n, n, pixels): what share of term i its rival j would cancel; p (n, 2, pixels), |p| > 0."""
     n = len(p)
-    m = chroma(p.swapaxes(0, 1))
+    m = competing(p, strengths)
     e = np.ones((n, n, p.shape[2]), p.dtype)
     for i in range(n):
         for j in range(i):
@@ -182,8 +219,14 @@ def rivalry(p: Array, hue_tolerance: float, gray_bias: float = 0.0) -> Array:
         support += (e[:, k] * m[k])[:, None] * (1 - e[:, k])[None, :]
         near += np.minimum(m, m[k])
     rival = np.minimum(support.swapaxes(0, 1), near[None, :])
-    q = ratio(np.minimum(rival, support), support)  # min(1, q) of the text
-    return (1 - e) * _biased(q, gray_bias)
+    return (1 - e) * _biased(_cancelled(rival, support), gray_bias)
+
+
+def _cancelled(rival: Array, support: Array) -> Array:
+    """q (…) in [0, 1]: what a rival cancels of what has this support, all of what has none."""
+    q = ratio(np.minimum(rival, support), support)
+    q[(support == 0) & (rival > 0)] = 1
+    return q
 
 
 def bytes_to_keep(terms: int) -> int:
@@ -192,7 +235,7 @@ def bytes_to_keep(terms: int) -> int:
 
 
 def strongest_rivals(
-    p: Array, hue_tolerance: float, gray_bias: float = 0.0
+    p: Array, hue_tolerance: float, gray_bias: float = 0.0, strengths: Array | None = None
 ) -> tuple[Array, NDArray[np.intp]]:
     """(n) each: what share of each term its strongest rival cancels, and which one that is.
 
@@ -201,7 +244,8 @@ def strongest_rivals(
     few others back. Supports are products of matrices of shoulders.
     """
     n = p.shape[1]
-    hue, m = np.arctan2(*p[::-1].astype(float)), chroma(p.astype(float))
+    hue = np.arctan2(*p[::-1].astype(float))
+    m = competing(p.T.astype(float), None if strengths is None else strengths.astype(float))
     by_hue = np.argsort(hue, kind="stable")
     hue, m = hue[by_hue], m[by_hue]
     some = max(1, SHOULDERS_AT_ONCE // n)
@@ -220,8 +264,7 @@ def strongest_rivals(
 
     def oppose(block: slice, others: slice, e: Array, backing: Array, opposed: Array) -> None:
         strength = np.minimum(opposed, near[others])
-        q = ratio(np.minimum(strength, backing), backing)
-        cancelled = (1 - e) * _biased(q, gray_bias)
+        cancelled = (1 - e) * _biased(_cancelled(strength, backing), gray_bias)
         most = cancelled.max(axis=1)
         first = np.where(cancelled == most[:, None], by_hue[others], n).min(axis=1)
         stronger = (most > share[block]) | ((most == share[block]) & (first < rival[block]))
@@ -239,12 +282,24 @@ def strongest_rivals(
     return share[given], rival[given]
 
 
-def keep_all_of_many(p: Array, hue_tolerance: float, gray_bias: float = 0.0) -> Array:
+def keep_all_of_many(
+    p: Array,
+    hue_tolerance: float,
+    gray_bias: float = 0.0,
+    strengths: Array | None = None,
+    phase: Array | None = None,
+) -> Array:
     """Plain sum of many chroma vectors, p (n, 2, …)."""
     return np.ones((len(p), *p.shape[2:]), p.dtype)
 
 
-def keep_foremost_of_many(p: Array, hue_tolerance: float, gray_bias: float = 0.0) -> Array:
+def keep_foremost_of_many(
+    p: Array,
+    hue_tolerance: float,
+    gray_bias: float = 0.0,
+    strengths: Array | None = None,
+    phase: Array | None = None,
+) -> Array:
     """The first of many chroma vectors that is not 0, from the front, p (n, 2, …)."""
     has_hue = (p != 0).any(axis=1)
     before = np.cumsum(has_hue, axis=0) - has_hue
@@ -252,48 +307,6 @@ def keep_foremost_of_many(p: Array, hue_tolerance: float, gray_bias: float = 0.0
     return (before == 0) | unknown
 
 
-@dataclass(frozen=True)
-class Blending:
-    """One row of the table: what is kept of two chroma vectors that add, and of many at once.
-
-    What is kept are factors in [0, 1]: `keep` gives a and b (…) of p1, p2 (2, …), whose sum is
-    a·p1 + b·p2, and `keep_of_many` one for each of p (n, 2, …). They are 1 where p vanishes, and
-    where any is not finite. Both take a hue tolerance in degrees and a bias against grey.
-    `depends_on_order`: whether the blend order matters; `depends_on_depth`: whether it matters who
-    is in front, who is given first.
-    """
-
-    name: str
-    keep: Callable[[Array, Array, float, float], Pair]
-    keep_of_many: Callable[[Array, float, float], Array]
-    depends_on_order: bool
-    depends_on_depth: bool = False
-
-
-BLENDINGS: dict[str, Blending] = {
-    row.name: row
-    for row in (
-        Blending("hue-preserving", keep_hue, keep_hues, depends_on_order=True),
-        Blending("traditional", keep_all, keep_all_of_many, depends_on_order=False),
-        Blending(
-            "foremost",
-            keep_foremost,
-            keep_foremost_of_many,
-            depends_on_order=False,
-            depends_on_depth=True,
-        ),
-    )
-}
-
-
 def added(p: Sequence[Array], kept: Sequence[Array | float]) -> Array:
     """The sum (2, …) of chroma vectors, each (2, …), of which factors (…) are kept."""
     return sum((factor * of for factor, of in zip(kept, p, strict=True)), np.zeros_like(p[0]))
-
-
-def blending(name: str) -> Blending:
-    """The blending of that name; `SettingError` lists the valid ones."""
-    try:
-        return BLENDINGS[name]
-    except KeyError:
-        raise unknown_name("blending", name, BLENDINGS) from None

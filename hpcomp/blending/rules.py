@@ -9,15 +9,19 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..color import spaces
-from ..color.primaries import REC709, Primaries, converted, to_xyz, working_primaries
+from ..color.primaries import Primaries, converted, to_xyz, working_primaries
 from ..errors import MismatchError, SettingError
-from . import addition, orders, porter_duff
+from . import addition, blendings, orders, porter_duff
+from . import strength as strengths
+from .blendings import BLENDINGS, Blending
+from .strength import Strength
+from .weaving import Weave
 
 Array = NDArray[np.floating[Any]]
 
@@ -33,25 +37,34 @@ class Reduction(Enum):
     ALL_LAYERS = "all-layers"
 
 
+class Chroma(NamedTuple):
+    """The chroma of a term: p (2, …), and its strength m (…), None where that is |p|."""
+
+    p: Array
+    strength: Array | None = None
+
+
 @dataclass(frozen=True)
 class StackRules:
     """Everything that decides how the pixels of a stack become one: no pixels, no files.
 
     `operators[i]` puts layer i on those below it (None for layer 0); `opacities` are in [0, 1];
     `background` is straight linear RGB; `exposure` is in stops. `space` is that of reports;
-    `primaries` are those of all RGB.
+    `primaries` are those of all RGB. `weave`: the pattern of woven blending.
     """
 
     operators: tuple[porter_duff.Operator | None, ...]
     opacities: tuple[float, ...]
-    blending: addition.Blending
+    blending: Blending
     order: orders.Order
     space: spaces.Space
     hue_tolerance: float
     gray_bias: float
     background: tuple[float, ...] | None
     exposure: float
-    primaries: Primaries = REC709
+    primaries: Primaries
+    strength: Strength
+    weave: Weave
 
     def in_primaries(self, primaries: Primaries) -> StackRules:
         """The same rules in other primaries; `MismatchError` where blue, say, has no luminance."""
@@ -70,21 +83,30 @@ class StackRules:
         space = spaces.space(self.space.name, rgb_to_xyz)
         return replace(self, primaries=primaries, space=space, background=background)
 
-    def keep(self, front: Array, behind: Array) -> addition.Pair:
-        """What the blending keeps of two p (2, …); only `foremost` asks who is in front."""
-        return self.blending.keep(front, behind, self.hue_tolerance, self.gray_bias)
+    def keep(self, front: Chroma, behind: Chroma) -> addition.Pair:
+        """What the blending keeps of two; only `foremost` asks who is in front."""
+        assert self.blending.keep is not None
+        strengths = None
+        if front.strength is not None and behind.strength is not None:
+            strengths = front.strength, behind.strength
+        return self.blending.keep(front.p, behind.p, self.hue_tolerance, self.gray_bias, strengths)
 
-    def keep_of_many(self, terms: Array) -> Array:
-        """What the blending keeps of each of p (n, 2, …), added at once."""
-        return self.blending.keep_of_many(terms, self.hue_tolerance, self.gray_bias)
+    def keep_of_many(self, terms: Chroma, phase: Array | None = None) -> Array:
+        """What the blending keeps of each of p (n, 2, …), added at once.
 
-    def add(self, front: Array, behind: Array) -> Array:
-        """⊕ of two p (2, …), or what else the blending is."""
-        return addition.added((front, behind), self.keep(front, behind))
+        `phase` (…): that of the weave, where the blending depends on it.
+        """
+        return self.blending.keep_of_many(
+            terms.p, self.hue_tolerance, self.gray_bias, terms.strength, phase
+        )
 
-    def add_all(self, terms: Array) -> Array:
-        """All of p (n, 2, …) at once → (2, …)."""
-        return addition.added(tuple(terms), tuple(self.keep_of_many(terms)))
+    def add(self, front: Chroma, behind: Chroma) -> Chroma:
+        """⊕ of two, or what else the blending is."""
+        return sum_of_chromas((front, behind), self.keep(front, behind))
+
+    def add_all(self, terms: Sequence[Chroma], phase: Array | None = None) -> Chroma:
+        """All of them at once."""
+        return sum_of_chromas(terms, tuple(self.keep_of_many(stacked(terms), phase)))
 
     @property
     def front_to_back(self) -> tuple[int, ...]:
@@ -98,22 +120,33 @@ class StackRules:
 
     @property
     def adding_order(self) -> orders.Order:
-        """The order in which terms, bottom first, are added: the stack's, or from the front."""
+        """The order in which terms, bottom first, are added: the stack's, where it matters."""
         if self.blending.depends_on_depth:
             return orders.order(self.front_to_back, len(self.operators))
-        return self.order
+        return orders.ORDERS["simultaneous"] if self.blending.depends_on_place else self.order
 
     @property
     def blending_space(self) -> spaces.Space:
         """The space in which p adds: + gives one picture in all, which only linear maps give."""
-        plain = self.blending is addition.BLENDINGS["traditional"]
+        plain = self.blending is BLENDINGS["traditional"]
         if not plain or self.space.linear:
             return self.space
         return spaces.space("linear-rgb", self.space.rgb_to_xyz)
 
+    def blended(self, name: str) -> StackRules:
+        """The same rules with another blending, by its name."""
+        return replace(self, blending=BLENDINGS[name])
+
+    @property
+    def bounded(self) -> bool:
+        """Whether results are brought back into gamut: not where they cannot leave it."""
+        return self.blending.depends_on_place or not self.blending_space.linear
+
     @property
     def reduction(self) -> Reduction:
         """The leanest way to reduce this stack while its layers arrive."""
+        if self.blending.depends_on_place:
+            return Reduction.ALL_LAYERS
         one_way = len(self.operators) == 1 or not self.blending.depends_on_order
         if one_way or self.order is orders.ORDERS["bottom-up"]:
             return Reduction.BOTTOM_UP
@@ -127,6 +160,21 @@ class StackRules:
         """The layers' numbers in the order in which an engine takes them."""
         numbers = range(len(self.operators))
         return numbers[::-1] if self.reduction is Reduction.FRONT_TO_BACK else numbers
+
+
+def stacked(terms: Sequence[Chroma]) -> Chroma:
+    """Terms as planes: p (n, 2, …), m (n, …)."""
+    strengths = [term.strength for term in terms if term.strength is not None]
+    return Chroma(np.stack([term.p for term in terms]), np.stack(strengths) if strengths else None)
+
+
+def sum_of_chromas(terms: Sequence[Chroma], kept: Sequence[Array | float]) -> Chroma:
+    """The sum of those of which factors (…) are kept; what has no hue left has no strength."""
+    p = addition.added([term.p for term in terms], kept)
+    strengths = [term.strength for term in terms if term.strength is not None]
+    if not strengths:
+        return Chroma(p)
+    return Chroma(p, np.where((p != 0).any(axis=0), addition.added(strengths, kept), 0))
 
 
 def check_exposure(stops: float) -> float:
@@ -148,6 +196,9 @@ def checked_rules(
     background: Sequence[float] | None,
     exposure: float,
     primaries: str,
+    strength: str,
+    weave: str,
+    weave_size: int,
 ) -> StackRules:
     """The rules of a stack of layers with these operators, None first, and opacities.
 
@@ -167,7 +218,7 @@ def checked_rules(
     return StackRules(
         operators=tuple(None if name is None else porter_duff.operator(name) for name in ops),
         opacities=tuple(float(value) for value in opacities),
-        blending=addition.blending(blending),
+        blending=blendings.blending(blending),
         order=orders.order(order, len(ops)),
         space=spaces.space(space, to_xyz(working)),
         hue_tolerance=hue_tolerance,
@@ -175,4 +226,6 @@ def checked_rules(
         background=None if background is None else tuple(float(v) for v in background),
         exposure=exposure,
         primaries=working,
+        strength=strengths.strength(strength),
+        weave=Weave.of(weave, weave_size),
     )

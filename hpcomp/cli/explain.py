@@ -14,7 +14,8 @@ from .words import Layer
 
 #: The options of a stack that change what is said, and what that may take.
 EXPLAINED = (
-    *("op", "blending", "order", "space", "primaries", "hue_tolerance", "gray_bias"),
+    *("op", "preset", "blending", "order", "space", "strength", "primaries"),
+    *("hue_tolerance", "gray_bias", "weave", "weave_size"),
     *("foreign_tolerance", "achromatic", "exposure", "region", "canvas", "overscan", "background"),
     *("nonfinite", "strict", "threads", "max_memory", "max_pixels"),
 )

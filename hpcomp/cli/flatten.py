@@ -47,9 +47,10 @@ has the channels Z and A, and ZBack if it has volumes; samples without a colour 
 )
 @output_option
 @stack_options(
-    *("format", "blending", "order", "space", "primaries", "hue_tolerance", "gray_bias", "depth"),
-    *("compression", "out_primaries", "exposure", "region", "clobber", "canvas", "overscan"),
-    *("background", "nonfinite", "strict", "threads", "max_memory", "max_pixels"),
+    *("format", "preset", "blending", "order", "space", "strength", "primaries"),
+    *("hue_tolerance", "gray_bias", "weave", "weave_size"),
+    *("depth", "compression", "out_primaries", "exposure", "region", "clobber", "canvas"),
+    *("overscan", "background", "nonfinite", "strict", "threads", "max_memory", "max_pixels"),
     *("depfile", "depfile_target", "write_if_changed"),
     help={
         "order": f"In which order the samples' colours are added: {', '.join(ORDERS)}. The bottom "

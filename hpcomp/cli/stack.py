@@ -50,7 +50,8 @@ keys, unless the whole argument is an existing file. A value cannot contain a co
 @click.argument("layers", metavar="LAYER...", nargs=-1, required=True, type=Layer())
 @output_option
 @stack_options(
-    *("format", "op", "blending", "order", "space", "primaries", "hue_tolerance", "gray_bias"),
+    *("format", "op", "preset", "blending", "order", "space", "strength", "primaries"),
+    *("hue_tolerance", "gray_bias", "weave", "weave_size"),
     *("depth", "compression", "out_primaries", "exposure", "region", "clobber", "canvas"),
     *("overscan", "background", "nonfinite", "strict", "threads", "max_memory", "max_pixels"),
     *("report", "provenance", "foreign_tolerance", "achromatic", "bins", "energy_weights"),

@@ -14,7 +14,7 @@ from ..blending.orders import ORDERS
 from ..geometry import CANVASES
 from ..imagefile.forms import COMPRESSIONS, DEPTHS
 from ..measures.defaults import DEFAULT_ACHROMATIC
-from ..options import OPTIONS, NamedOption
+from ..options import OPTIONS, PRESET_OPTIONS, NamedOption
 from .options import F
 from .words import PICTURES, Choice, File, Offer, Text, color_names, of_output
 
@@ -28,10 +28,24 @@ _OFFERED: dict[str, Offer] = {
 }
 
 
+class GivenOption(click.Option):
+    """An option that a preset may choose: the command gets it where it is given, and only there."""
+
+    def handle_parse_result(
+        self, ctx: click.Context, opts: Mapping[str, Any], args: list[str]
+    ) -> tuple[Any, list[str]]:
+        result = super().handle_parse_result(ctx, opts, args)
+        name = self.name or ""
+        if ctx.get_parameter_source(name) is click.core.ParameterSource.DEFAULT:
+            ctx.params.pop(name, None)
+        return result
+
+
 def _click_option(row: NamedOption, help: str | None, hidden: bool) -> Callable[[F], F]:
     option = row.option
     flag = f"--{row.name.replace('_', '-')}"
     how: dict[str, Any] = {
+        "cls": GivenOption if row.name in PRESET_OPTIONS else click.Option,
         "help": help or option.help,
         "default": row.default,
         "metavar": option.metavar or None,

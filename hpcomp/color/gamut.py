@@ -34,12 +34,15 @@ HALVINGS, SECANTS = 10, 3
 SAME_COLOR, SAME_P = 4e-6, 1.2e-6
 
 
-def bounds_of(space: Space, rgb: Array, alpha: Array | float = 0.0) -> Array:
-    """(2, …): lo and hi of one term, for rgb (3, …) and α (…); (0, …) in a linear space.
+def bounds_of(
+    space: Space, rgb: Array, alpha: Array | float = 0.0, bounded: bool | None = None
+) -> Array:
+    """(2, …): lo and hi of one term, for rgb (3, …) and α (…); (0, …) where nothing is bounded.
 
     Weights scale them, and they add, as the luminance does. Where α is not known it is 0.
+    `bounded`: that is so in spaces that are not linear, if nothing is said.
     """
-    if space.linear:
+    if not (not space.linear if bounded is None else bounded):
         return np.empty((0, *rgb.shape[1:]), rgb.dtype)
     bounds = np.empty((2, *rgb.shape[1:]), rgb.dtype)
     np.minimum(rgb.min(axis=0), 0, out=bounds[0])
@@ -48,12 +51,15 @@ def bounds_of(space: Space, rgb: Array, alpha: Array | float = 0.0) -> Array:
 
 
 def colors_within(space: Space, luminance: Array, p: Array, plain: Array, bounds: Array) -> Array:
-    """rgb (3, n) of Y (n) and p (2, n), within `bounds` (2, n).
+    """rgb (3, n) of Y (n) and p (2, n), within `bounds` (2, n), or (0, n) where there are none.
 
     `plain` (3, n): the colour itself in a linear space. Else + of the colours that went in: it is
     the colour where it has that p, and where p is not finite, and then its zeros are exact.
     """
     if space.linear:
+        if len(bounds):
+            plain = plain.copy()
+            _bring_within(space, plain, luminance, p, bounds)
         return plain
     rgb = space.inverse(luminance, p)
     rounding = np.finfo(p.dtype).eps / np.finfo(np.float32).eps

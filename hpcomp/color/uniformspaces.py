@@ -183,14 +183,24 @@ def oklab_coefficients(rgb_to_xyz: Matrix) -> OklabCoefficients:
     return replace(unbounded, largest=largest)
 
 
-def oklab_forward(coefficients: OklabCoefficients, rgb: Array) -> tuple[Array, Array]:
-    """rgb (3, …) → Y (…), p (2, …)."""
+def _oklab(coefficients: OklabCoefficients, rgb: Array) -> tuple[Array, Array, Array]:
+    """Y, L and (a, b) (2, …) of rgb (3, …)."""
     luminance, red_green, blue_green = _luminance(rgb, coefficients.weights)
     cones = _sums(rgb[1], red_green, blue_green, coefficients.to_lms)
     long, middle, short = (np.cbrt(cone) for cone in cones)
     long, short = long - middle, short - middle
     (lightness,) = _sums(middle, long, short, coefficients.to_lab[:1])
-    p = np.stack(_sums(0, long, short, coefficients.to_lab[1:]))
+    return luminance, lightness, np.stack(_sums(0, long, short, coefficients.to_lab[1:]))
+
+
+def oklab_chroma(coefficients: OklabCoefficients, rgb: Array) -> Array:
+    """Oklab's chroma C (…) of rgb (3, …), linear: of degree 1/3 in the colour."""
+    return length(_oklab(coefficients, rgb)[2])
+
+
+def oklab_forward(coefficients: OklabCoefficients, rgb: Array) -> tuple[Array, Array]:
+    """rgb (3, …) → Y (…), p (2, …)."""
+    luminance, lightness, p = _oklab(coefficients, rgb)
     # As L vanishes, q grows to its bound and stays there: the direction is (a, b) throughout.
     whole = np.maximum(lightness, length(p) / coefficients.largest)
     there = (luminance > 0) & (whole > 0)

@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+import operator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..blending import addition
-from ..blending.terms import color_of, sum_of_terms, term_of
-from ..color import spaces
-from ..color.primaries import to_xyz, working_primaries
+from ..blending.terms import color_of, sum_of, term_of
 from ..color.quantization import Losses
 from ..color.samples import Strip
-from ..errors import MismatchError
+from ..errors import MismatchError, SettingError
 from ..measures.labels import StackMeasures, blocks_of, measure_settings, measures_of
 from ..options import RuleOptions, stack_rules
 from . import choice as engine
@@ -24,6 +22,9 @@ Array = NDArray[np.floating[Any]]
 
 #: Pixels that `composite` hands to an engine at a time.
 STRIP_PIXELS = 1 << 18
+
+#: The farthest pixel from the corner of a canvas.
+FARTHEST_ORIGIN = 1 << 28
 
 
 def _of_one_shape(layers: Sequence[ArrayLike]) -> list[NDArray[Any]]:
@@ -43,19 +44,34 @@ def _of_one_shape(layers: Sequence[ArrayLike]) -> list[NDArray[Any]]:
     return arrays
 
 
-def composite(layers: Sequence[ArrayLike], **rules: Any) -> Array:
+def _rows(shape: tuple[int, ...]) -> tuple[int, int, int]:
+    """(pictures, height, width) of arrays (…, height, width, 4); (n, 4) is one row."""
+    width = shape[-2] if len(shape) > 1 else 1
+    height = shape[-3] if len(shape) > 2 else 1
+    return math.prod(shape[:-3]), height, width
+
+
+def composite(
+    layers: Sequence[ArrayLike], *, origin: tuple[int, int] = (0, 0), **rules: Any
+) -> Array:
     """Composites layers, bottom first, into one array.
 
     `layers`: arrays (…, 4) of one shape; linear, premultiplied RGBA; colour unbounded, alpha
-    clamped to [0, 1]. float64 is composited in float64, anything else in float32.
+    clamped to [0, 1]. float64 is composited in float64, anything else in float32. The last two axes
+    before the components are rows and columns of pixels, any others are further pictures.
+    `origin`: (x, y) of the first pixel, counted from the corner of the canvas. It places the
+    pattern of woven blending, and changes nothing else.
     `rules`, each with its default:
       `op` "over": one operator for the layers above the bottom, or one for each layer, None first;
       `opacity` 1.0: one for all layers or one for each, in [0, 1];
-      `blending` "hue-preserving", "traditional", or "foremost";
+      `preset` None, "paper", "labels" or "woven": a set of choices, which others override;
+      `blending` "hue-preserving", "traditional", "foremost" or "woven";
       `order` "bottom-up", "top-down", "balanced", "simultaneous", "2,0,1" or a sequence of ints;
       `space` "linear-rgb", "xyz", "hsl", "oklab" or "cielab";
       `hue_tolerance` 2.0, degrees between p vectors;
       `gray_bias` 0.0: how much less than in the paper hues cancel each other, in [0, 1];
+      `strength` "chroma", "perceived" or "coverage": what competes where hues differ;
+      `weave` "stripes" or "noise", and `weave_size` 8, pixels: the pattern of woven blending;
       `background` None, or straight linear RGB put under the result;
       `exposure` 0.0: stops, applied to the colour of the result;
       `primaries` "rec709", "display-p3", "rec2020" or "acescg": those of the layers, of the
@@ -65,19 +81,46 @@ def composite(layers: Sequence[ArrayLike], **rules: Any) -> Array:
     Source: Chuang et al. 2009, Eq. 1–3 and Algorithm 1; Porter and Duff 1984.
     """
     checked = stack_rules(len(layers), **rules)
+    left, top = _checked_origin(origin)
     arrays = _of_one_shape(layers)
     dtype = np.result_type(np.float32, *(a.dtype for a in arrays if a.dtype == np.float64))
     shape = arrays[0].shape
-    flat = [array.reshape(-1, 4) for array in arrays]
-    result = np.empty((len(flat[0]), 4), dtype)
-    for begin in range(0, len(result), STRIP_PIXELS):
-        end = min(begin + STRIP_PIXELS, len(result))
-        accumulator = engine.start(checked, end - begin, 1, dtype)
+    pictures = [array.reshape(*_rows(shape), 4) for array in arrays]
+    result = np.empty(pictures[0].shape, dtype)
+    for picture, part in _strips(result.shape[:3]):
+        x, y = left + part[1].start, top + part[0].start
+        of_strip = (picture, *part)
+        height, width = result[of_strip].shape[:2]
+        accumulator = engine.start(checked, width, height, dtype, (x, y))
         for number in checked.arrival:
-            rgba = np.ascontiguousarray(flat[number][begin:end], dtype)
-            accumulator.add([number], [Strip(rgba[None])])
-        result[begin:end] = accumulator.result("float", Losses())[0]
+            rgba = np.ascontiguousarray(pictures[number][of_strip], dtype)
+            accumulator.add([number], [Strip(rgba)])
+        result[of_strip] = accumulator.result("float", Losses())
     return result.reshape(shape)
+
+
+def _checked_origin(origin: tuple[int, int]) -> tuple[int, int]:
+    """Two whole numbers. Errors: `SettingError`."""
+    try:
+        x, y = (operator.index(value) for value in origin)
+    except (TypeError, ValueError):
+        x = y = FARTHEST_ORIGIN + 1
+    if max(abs(x), abs(y)) > FARTHEST_ORIGIN:
+        raise SettingError(
+            f"origin {origin} is not two whole numbers, x and y, of at most {FARTHEST_ORIGIN}"
+        )
+    return x, y
+
+
+def _strips(shape: tuple[int, ...]) -> Iterator[tuple[int, tuple[slice, slice]]]:
+    """Strips of rows and columns of pictures (pictures, height, width), of `STRIP_PIXELS` each."""
+    pictures, height, width = shape
+    columns = min(width, STRIP_PIXELS) or 1
+    rows = max(1, STRIP_PIXELS // columns)
+    for picture in range(pictures):
+        for y in range(0, height, rows):
+            for x in range(0, width, columns):
+                yield picture, (slice(y, y + rows), slice(x, x + columns))
 
 
 def hue_add(
@@ -102,18 +145,16 @@ def hue_add(
     Errors: `SettingError` for a rule, `MismatchError` for a shape.
     Source: Chuang et al. 2009, Algorithm 1.
     """
-    tolerance = addition.check_hue_tolerance(hue_tolerance)
-    blending_space = spaces.space(space, to_xyz(working_primaries(primaries)))
-    bias = addition.check_gray_bias(gray_bias)
+    rules = stack_rules(
+        1, hue_tolerance=hue_tolerance, gray_bias=gray_bias, space=space, primaries=primaries
+    )
     a, b = np.broadcast_arrays(np.asarray(c1), np.asarray(c2))
     if a.ndim == 0 or a.shape[-1] != 3:
         raise MismatchError(f"colours of shape {a.shape}: RGB needs 3 components on the last axis")
     dtype = np.result_type(np.float32, *(c.dtype for c in (a, b) if c.dtype == np.float64))
     first, second = (c.reshape(-1, 3).T.astype(dtype) for c in (a, b))
-    terms = [term_of(blending_space, colors, 0.0) for colors in (first, second)]
-    kept = addition.keep_hue(terms[0].p, terms[1].p, tolerance, bias)
-    both = sum_of_terms(terms, kept, blending_space)  # Eq. 1
-    return color_of(blending_space, both).T.reshape(a.shape)
+    both = sum_of(rules, term_of(rules, first, 0.0), term_of(rules, second, 0.0))  # Eq. 1
+    return color_of(rules.space, both).T.reshape(a.shape)
 
 
 def stack_measures(
@@ -141,11 +182,11 @@ def stack_measures(
     rules = stack_rules(len(layers), **settings)
     checked = measure_settings(rules, **own)
     arrays = _of_one_shape(layers)
-    *pictures, height, width, _ = (1, 1, *arrays[0].shape)
+    place_of_first = _checked_origin(origin)
     total = StackMeasures.none(rules, checked)
-    stacks = [array.reshape(math.prod(pictures), height, width, 4) for array in arrays]
+    stacks = [array.reshape(*_rows(arrays[0].shape), 4) for array in arrays]
     for picture in zip(*stacks, strict=True):
-        for place, block in blocks_of(picture, origin):
+        for place, block in blocks_of(picture, place_of_first):
             rgba = np.array(block, np.float32).reshape(-1, place.height, place.width, 4)
             np.clip(rgba[..., 3], 0, 1, out=rgba[..., 3])
             total += measures_of(rules, checked, rgba, (place.x, place.y))[0]

@@ -88,10 +88,16 @@ def _warn_of_the_missing_kernel() -> None:
     )
 
 
-def start(rules: StackRules, width: int, height: int, dtype: Any = np.float32) -> Accumulator:
+def start(
+    rules: StackRules,
+    width: int,
+    height: int,
+    dtype: Any = np.float32,
+    origin: tuple[int, int] = (0, 0),
+) -> Accumulator:
     """An empty accumulator of the active engine; float64 is composited by the reference."""
     engine = reference_engine() if dtype == np.float64 else active()
-    return engine.start(rules, width, height, dtype)
+    return engine.start(rules, width, height, dtype, origin)
 
 
 def measuring(rules: StackRules) -> Engine:

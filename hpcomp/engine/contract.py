@@ -61,20 +61,32 @@ class Engine(Protocol):
     pairs_at_once: int
 
     def start(
-        self, rules: StackRules, width: int, height: int, dtype: Any = np.float32
+        self,
+        rules: StackRules,
+        width: int,
+        height: int,
+        dtype: Any = np.float32,
+        origin: tuple[int, int] = (0, 0),
     ) -> Accumulator:
-        """An empty accumulator for a strip of that size in pixels."""
+        """An empty accumulator for a strip of that size in pixels.
+
+        `origin`: column and row of its first pixel, counted from the corner of the canvas.
+        """
 
     def bytes_to_reduce(self, rules: StackRules, layers: int) -> int:
         """Memory that a strip of so many layers takes beside its samples, whatever its size."""
 
     def keep_runs(
-        self, rules: StackRules, counts: NDArray[np.int64], p: NDArray[np.float64]
+        self,
+        rules: StackRules,
+        counts: NDArray[np.int64],
+        p: NDArray[np.float64],
+        strengths: NDArray[np.float64] | None,
     ) -> NDArray[np.float64]:
         """What is kept of each of runs of chroma vectors, added at once: p (2, n) → (n) in [0, 1].
 
-        `counts`: (runs), n in all. `rules`: of a blending and a tolerance; no order, and nobody in
-        front.
+        `counts`: (runs), n in all. `strengths`: m (n), None where it is |p|. `rules`: of a blending
+        and a tolerance; no order, nobody in front, and no place.
         """
 
     def bytes_to_keep(self, terms: int) -> int:

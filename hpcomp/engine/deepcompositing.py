@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 
 from ..blending import deepsamples
-from ..blending.addition import BLENDINGS
+from ..blending.blendings import BLENDINGS
 from ..blending.deepsamples import DeepSamples, Floats, Ints
 from ..blending.orders import ORDERS
 from ..blending.porter_duff import operator
@@ -114,8 +114,10 @@ def _added_run_by_run(
         most = (pairs[begin - 1] if begin else 0) + by.pairs_at_once
         end = max(begin + 1, int(np.searchsorted(pairs, most, side="right")))
         of_runs = slice(ends[begin] - counts[begin], ends[end - 1])
-        terms, alpha = layer_term(space, 1.0, rgba[of_runs].astype(float))
-        kept = by.keep_runs(rules, counts[begin:end].astype(np.int64), terms.p.astype(float))
+        terms, alpha = layer_term(rules, 1.0, rgba[of_runs].astype(float))
+        strengths = None if terms.strength is None else terms.strength.astype(float)
+        lengths = counts[begin:end].astype(np.int64)
+        kept = by.keep_runs(rules, lengths, terms.p.astype(float), strengths)
         first = ends[begin:end] - counts[begin:end] - of_runs.start
         runs = sums_of_runs(terms, kept, first, space)
         made[begin:end, :3] = color_of(space, runs).T

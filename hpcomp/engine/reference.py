@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -16,8 +15,17 @@ from numpy.typing import NDArray
 
 from ..blending.addition import bytes_to_keep
 from ..blending.orders import ORDERS
-from ..blending.rules import Reduction, StackRules
-from ..blending.terms import Term, color_of, layer_term, sum_of, sum_of_many, term_of, weighted
+from ..blending.rules import Chroma, Reduction, StackRules
+from ..blending.terms import (
+    Term,
+    background_term,
+    color_of,
+    layer_term,
+    sum_of,
+    sum_of_many,
+    term_of,
+    weighted,
+)
 from ..color.primaries import REC709, Primaries
 from ..color.quantization import Losses
 from ..color.samples import Samples, Strip, cropped, encode, linear_rgba, spread
@@ -29,7 +37,7 @@ if TYPE_CHECKING:  # only reports need them
 
 Array = NDArray[np.floating[Any]]
 Counts = NDArray[np.int64]
-Chroma = NDArray[np.float64]
+Float64 = NDArray[np.float64]
 
 #: Pixels that are composited at a time, so that a few planes of them stay in the L2 cache.
 BLOCK_PIXELS = 16_384
@@ -43,10 +51,15 @@ class ReferenceEngine:
     pairs_at_once = 1 << 17
 
     def start(
-        self, rules: StackRules, width: int, height: int, dtype: Any = np.float32
+        self,
+        rules: StackRules,
+        width: int,
+        height: int,
+        dtype: Any = np.float32,
+        origin: tuple[int, int] = (0, 0),
     ) -> _Accumulator:
         """An empty accumulator for a strip of that size, of the kind that the rules need."""
-        return _ACCUMULATORS[rules.reduction](rules, width, height, dtype)
+        return _ACCUMULATORS[rules.reduction](rules, width, height, dtype, origin)
 
     def bytes_to_reduce(self, rules: StackRules, layers: int) -> int:
         """What adding all terms of one pixel at once takes; those of a block take no more."""
@@ -54,13 +67,17 @@ class ReferenceEngine:
             return 0
         return bytes_to_keep(layers)
 
-    def keep_runs(self, rules: StackRules, counts: Counts, p: Chroma) -> Chroma:
-        """What is kept of each of runs of chroma vectors, added at once: p (2, n) → (n)."""
+    def keep_runs(
+        self, rules: StackRules, counts: Counts, p: Float64, strengths: Float64 | None
+    ) -> Float64:
+        """What is kept of each of runs of chroma vectors, added at once: p (2, n), m (n) → (n)."""
         kept = np.ones(p.shape[1])
         ends = np.cumsum(counts)
         for begin, end in zip(ends - counts, ends, strict=True):
             if begin < end:
-                kept[begin:end] = rules.keep_of_many(p[:, begin:end].T[..., None])[:, 0]
+                m = None if strengths is None else strengths[begin:end, None]
+                terms = Chroma(p[:, begin:end].T[..., None], m)
+                kept[begin:end] = rules.keep_of_many(terms)[:, 0]
         return kept
 
     def bytes_to_keep(self, terms: int) -> int:
@@ -97,8 +114,16 @@ ENGINE = ReferenceEngine()
 class _Accumulator(ABC):
     """Takes the layers of one strip in `rules.arrival` order, and gives their composite."""
 
-    def __init__(self, rules: StackRules, width: int, height: int, dtype: Any) -> None:
+    def __init__(
+        self,
+        rules: StackRules,
+        width: int,
+        height: int,
+        dtype: Any,
+        origin: tuple[int, int],
+    ) -> None:
         self.rules, self.width, self.height = rules, width, height
+        self._origin = origin
         self.nonfinite = [0] * len(rules.operators)
         self._begin(width * height, dtype)
 
@@ -127,11 +152,17 @@ class _Accumulator(ABC):
 
     def term(self, number: int, rgba: Array) -> tuple[Term, Array]:
         """As `terms.layer_term`, of layer `number`."""
-        return layer_term(self.rules.blending_space, self.rules.opacities[number], rgba)
+        return layer_term(self.rules, self.rules.opacities[number], rgba)
+
+    def phases(self, block: slice) -> Array:
+        """Those of the weave in pixels of the strip."""
+        x, y = self._origin
+        row, column = np.divmod(np.arange(block.start, block.stop), self.width)
+        return self.rules.weave.phases(column + x, row + y)
 
     def _no_light(self, n_pixels: int, dtype: Any) -> Term:
         """Planes of the colour of no layer at all."""
-        return term_of(self.rules.blending_space, np.zeros((3, n_pixels), dtype), 0.0)
+        return term_of(self.rules, np.zeros((3, n_pixels), dtype), 0.0)
 
     @abstractmethod
     def _begin(self, n_pixels: int, dtype: Any) -> None: ...
@@ -158,10 +189,10 @@ class BottomUp(_Accumulator):
             if operator is not None:
                 alpha_below = self.alpha[block]
                 f_a, f_b = operator.factors(alpha, alpha_below)
-                both = term.weighted(f_a), _part(self.below, block).weighted(f_b)
+                both = term.weighted(f_a), self.below.part(block).weighted(f_b)
                 term = sum_of(self.rules, *operator.front_first(*both))  # Eq. 2 with ⊕
                 alpha = operator.alpha(alpha, alpha_below)
-            _put(self.below, block, term)
+            self.below.put(block, term)
             self.alpha[block] = alpha
 
     def composite(self) -> Array:
@@ -179,8 +210,8 @@ class FrontToBack(_Accumulator):
         for block in _blocks(len(rgba)):
             term, alpha = self.term(number, rgba[block])
             weight = self.transmittance[block]
-            both = sum_of(self.rules, _part(self.above, block), term.weighted(weight))
-            _put(self.above, block, both)
+            both = sum_of(self.rules, self.above.part(block), term.weighted(weight))
+            self.above.put(block, both)
             self.alpha[block] += weight * alpha
             self.transmittance[block] *= 1 - alpha
 
@@ -200,22 +231,21 @@ class AllLayers(_Accumulator):
     def composite(self) -> Array:
         rgba = np.empty_like(self.layers[0])
         for block in _blocks(len(rgba)):
-            rgba[block] = self._reduced([layer[block] for layer in self.layers])
+            rgba[block] = self._reduced([layer[block] for layer in self.layers], block)
         return rgba
 
-    def _reduced(self, layers: list[Array]) -> Array:
+    def _reduced(self, layers: list[Array], block: slice) -> Array:
         rules = self.rules
-        terms = weighted(rules, rules.blending_space, layers)
-        # The bounds come summed: no single term has its own.
-        none = np.zeros_like(terms.bounds)
-        of_layers = [
-            Term(luminance, p, rgb, none)
-            for luminance, p, rgb in zip(terms.luminance, terms.p, terms.rgb, strict=True)
-        ]
+        stack = weighted(rules, layers)
+        terms, phase = stack.terms, None
+        if rules.blending.depends_on_place:
+            phase = self.phases(block)
+            if rules.background is not None:
+                terms = [*terms, background_term(rules, stack.alpha)]
         reduced = rules.adding_order.reduce(
-            of_layers, partial(sum_of, rules), partial(sum_of_many, rules)
+            terms, partial(sum_of, rules), partial(sum_of_many, rules, phase=phase)
         )
-        return _result(rules, replace(reduced, bounds=terms.bounds), terms.alpha)
+        return _result(rules, reduced, stack.alpha)
 
 
 def _blocks(n_pixels: int) -> Iterator[slice]:
@@ -223,26 +253,18 @@ def _blocks(n_pixels: int) -> Iterator[slice]:
         yield slice(begin, min(begin + BLOCK_PIXELS, n_pixels))
 
 
-def _part(term: Term, block: slice) -> Term:
-    """Some pixels of it, as views."""
-    return Term(*(planes[..., block] for planes in vars(term).values()))
-
-
-def _put(term: Term, block: slice, part: Term) -> None:
-    """Replaces some pixels of it."""
-    for name, planes in vars(part).items():
-        getattr(term, name)[..., block] = planes
-
-
 def _result(rules: StackRules, stack: Term, alpha: Array) -> Array:
-    """The reduced stack over its background and exposed, as RGBA (n, 4)."""
+    """The reduced stack over its background and exposed, as RGBA (n, 4).
+
+    What adds all at once holds its background already.
+    """
     space = rules.blending_space
     rgba = np.empty((len(alpha), 4), alpha.dtype)
     for block in _blocks(len(alpha)):
-        term, a_block = _part(stack, block), alpha[block]
+        term, a_block = stack.part(block), alpha[block]
         if rules.background is not None:
-            colour = term_of(space, np.array(rules.background, alpha.dtype)[:, None], 1.0)
-            term = sum_of(rules, term, colour.weighted(1 - a_block))
+            if not rules.blending.depends_on_place:
+                term = sum_of(rules, term, background_term(rules, a_block))
             a_block = np.ones_like(a_block)
         rgb = color_of(space, term)
         if rules.exposure:

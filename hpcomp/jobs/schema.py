@@ -24,7 +24,7 @@ from ..errors import SettingError, unknown_name
 from ..geometry import Window
 from ..imagefile.writing import OutputForm, format_of_output
 from ..layers.layerspec import LayerSpec, layer_spec
-from ..options import OPTIONS, NamedOption, StackOptions
+from ..options import OPTIONS, PRESET_OPTIONS, NamedOption, StackOptions
 from ..system.streams import STDIN, STDOUT
 
 #: The version of the schema that is read and written.
@@ -434,9 +434,10 @@ def jobs_of(tables: Sequence[Mapping[str, Any] | Job]) -> list[Job]:
 
 def job_of_stack(layers: Sequence[Any], output: str, options: Mapping[str, Any]) -> Job:
     """The job of a call of `stack`, with those of its options that are not as they are anyway."""
+    beside_preset = PRESET_OPTIONS if options.get("preset") is not None else ()
     given = {
         name: list(value) if isinstance(value, tuple) else value
         for name, value in options.items()
-        if name in OPTIONS and value != OPTIONS[name].default
+        if name in beside_preset or (name in OPTIONS and value != OPTIONS[name].default)
     }
     return checked_job({"layers": list(layers), "output": output, **given}, {}, "job")

@@ -82,44 +82,69 @@ HPCOMP_INLINE ScaledPair scaled_pair(float p0, float p1, float q0, float q1) {
             scale.up};
 }
 
-// What (+) keeps of two p, factors in [0, 1]: planes of n. Where one is not finite all is kept.
-template <bool kBiased>
+// The strengths of two p that compete: their lengths where nothing else is given, or both are 0.
+template <bool kStrong>
+HPCOMP_INLINE void competing(const ScaledPair &v, const float *m1, const float *m2, int i, float *first,
+                             float *second) {
+    const bool by_length = !kStrong || (m1[i] == 0 && m2[i] == 0);
+    *first = by_length ? v.m1 : m1[i];
+    *second = by_length ? v.m2 : m2[i];
+}
+
+// What (+) keeps of two p, factors in [0, 1]: planes of n. Where one is not finite all is kept. `m1`, `m2`:
+// their strengths, where `kStrong` says that they have some.
+template <bool kBiased, bool kStrong>
 HPCOMP_INLINE void keep_hue(const Rules &rules, int n, ConstRow p0, ConstRow p1, ConstRow q0, ConstRow q1,
-                            Row a, Row b) {
+                            const float *m1, const float *m2, Row a, Row b) {
     Plane biased;
     if (kBiased) {
         // A loop of its own: with the shoulder in it, it would be too long to be vectorised.
         for (int i = 0; i < n; ++i) {
             const ScaledPair v = scaled_pair(p0[i], p1[i], q0[i], q1[i]);
-            const float most = larger(v.m1, v.m2);
-            const float share = smaller(v.m1, v.m2) / (most > 0 ? most : 1.0f);
+            float first, second;
+            competing<kStrong>(v, m1, m2, i, &first, &second);
+            const float most = larger(first, second);
+            const float share = smaller(first, second) / (most > 0 ? most : 1.0f);
             biased[i] = 1 - share * bias(rules, share);
         }
     }
     for (int i = 0; i < n; ++i) {
         const ScaledPair v = scaled_pair(p0[i], p1[i], q0[i], q1[i]);
-        const float most = larger(v.m1, v.m2), least = smaller(v.m1, v.m2);
+        float of_first, of_second;
+        competing<kStrong>(v, m1, m2, i, &of_first, &of_second);
+        const float most = larger(of_first, of_second), least = smaller(of_first, of_second);
         const float plain = most > 0 ? (most - least) / most : 0.0f;  // [R3]
         const float differ = kBiased ? biased[i] : plain;
         const float e = shoulder(rules, v.x1, v.y1, v.x2, v.y2);      // [D3]
         const float kept = at_most_one(differ + e * (1 - differ));
-        const bool first = v.m1 >= v.m2;                              // [R2]
-        const bool finite = is_finite(p0[i], p1[i], q0[i], q1[i]);
+        const bool first = of_first >= of_second;                     // [R2]
+        const bool finite = is_finite(p0[i], p1[i], q0[i], q1[i]) & (!kStrong || most * 0 == 0);
         a[i] = finite ? (first ? kept : e) : 1.0f;
         b[i] = finite ? (first ? e : kept) : 1.0f;
     }
 }
 
+// The chroma of some terms, planes of n; `m` is null where what competes is the length of p.
+struct ChromaPlanes {
+    const float *p0, *p1, *m;
+};
+
 // What the blending keeps of p and of q, which is `behind` it or in front of it: planes of n.
-HPCOMP_INLINE void keep(const Rules &rules, int n, ConstRow p0, ConstRow p1, ConstRow q0, ConstRow q1,
-                        bool behind, Row a, Row b) {
+HPCOMP_INLINE void keep(const Rules &rules, int n, const ChromaPlanes &p, const ChromaPlanes &q, bool behind,
+                        Row a, Row b) {
+    ConstRow p0 = p.p0, p1 = p.p1, q0 = q.p0, q1 = q.p1;
+    const bool strong = p.m != nullptr;
     switch (rules.blending) {
     case Blending::kHuePreserving:
-        if (rules.gray_power > 0)
-            keep_hue<true>(rules, n, p0, p1, q0, q1, a, b);
-        else
-            keep_hue<false>(rules, n, p0, p1, q0, q1, a, b);
+        if (rules.gray_power > 0) {
+            if (strong) keep_hue<true, true>(rules, n, p0, p1, q0, q1, p.m, q.m, a, b);
+            else keep_hue<true, false>(rules, n, p0, p1, q0, q1, nullptr, nullptr, a, b);
+        } else {
+            if (strong) keep_hue<false, true>(rules, n, p0, p1, q0, q1, p.m, q.m, a, b);
+            else keep_hue<false, false>(rules, n, p0, p1, q0, q1, nullptr, nullptr, a, b);
+        }
         break;
+    case Blending::kWoven:  // which does not add two by two
     case Blending::kTraditional:
         for (int i = 0; i < n; ++i) a[i] = b[i] = 1;
         break;
@@ -135,15 +160,28 @@ HPCOMP_INLINE void keep(const Rules &rules, int n, ConstRow p0, ConstRow p1, Con
     }
 }
 
-// p <- p and q by the blending: planes of n.
-HPCOMP_INLINE void add(const Rules &rules, int n, Row p0, Row p1, ConstRow q0, ConstRow q1,
-                       bool behind = false) {
-    Plane a, b;
-    keep(rules, n, p0, p1, q0, q1, behind, a, b);
+// p <- p and q, of which a and b are kept, and so their strengths if there are some: planes of n. What has
+// no hue left has no strength.
+HPCOMP_INLINE void add_kept(int n, float *p0, float *p1, float *m, const ChromaPlanes &q, ConstRow a, ConstRow b) {
+    const float *q0 = q.p0, *q1 = q.p1, *more = q.m;
+#pragma GCC ivdep
     for (int i = 0; i < n; ++i) {
         p0[i] = a[i] * p0[i] + b[i] * q0[i];
         p1[i] = a[i] * p1[i] + b[i] * q1[i];
     }
+    if (m == nullptr) return;
+#pragma GCC ivdep
+    for (int i = 0; i < n; ++i)
+        m[i] = (p0[i] != 0) | (p1[i] != 0) ? a[i] * m[i] + b[i] * more[i] : 0.0f;
+}
+
+// p <- p and q by the blending, whose strengths are their lengths: planes of n.
+HPCOMP_INLINE void add(const Rules &rules, int n, float *p0, float *p1, const float *q0, const float *q1,
+                       bool behind) {
+    Plane a, b;
+    const ChromaPlanes added{q0, q1, nullptr};
+    keep(rules, n, {p0, p1, nullptr}, added, behind, a, b);
+    add_kept(n, p0, p1, nullptr, added, a, b);
 }
 
 // Colours times one plane, others times another, and the same more of each channel: planes of n.
@@ -166,25 +204,28 @@ HPCOMP_INLINE void add(const Rules &rules, int n, const Light &to, const float *
     const bool linear = rules.maps == Maps::kLinear;
     float *luminance = to.luminance, *p0 = to.p0, *p1 = to.p1;
     const float *y = from.luminance, *q0 = from.p0, *q1 = from.p1;
-    Plane x0, x1, z0, z1, a, b, kept, kept_from, grey;
+    Plane z0, z1, z_strength, a, b, kept, kept_from, grey;
     if (linear && rules.blending == Blending::kTraditional) {  // of which nobody asks p
         for (int i = 0; i < n; ++i) grey[i] = 0;
         mix_colors(n, to, weight, from, weight_from, grey);
         for (int i = 0; i < n; ++i) luminance[i] = weight[i] * luminance[i] + weight_from[i] * y[i];
         return;
     }
+    float *m = to.strength;
+    const float *more = from.strength;
     for (int i = 0; i < n; ++i) {
-        x0[i] = weight[i] * p0[i];
-        x1[i] = weight[i] * p1[i];
+        p0[i] = weight[i] * p0[i];
+        p1[i] = weight[i] * p1[i];
         z0[i] = weight_from[i] * q0[i];
         z1[i] = weight_from[i] * q1[i];
     }
-    keep(rules, n, x0, x1, z0, z1, behind, a, b);
-#pragma GCC ivdep
-    for (int i = 0; i < n; ++i) {
-        p0[i] = a[i] * x0[i] + b[i] * z0[i];
-        p1[i] = a[i] * x1[i] + b[i] * z1[i];
+    for (int i = 0; m && i < n; ++i) {
+        m[i] *= weight[i];
+        z_strength[i] = weight_from[i] * more[i];
     }
+    const ChromaPlanes added{z0, z1, m ? z_strength : nullptr};
+    keep(rules, n, {p0, p1, m}, added, behind, a, b);
+    add_kept(n, p0, p1, m, added, a, b);
     if (!linear) {  // the plain sum
         for (int i = 0; i < n; ++i) luminance[i] = weight[i] * luminance[i] + weight_from[i] * y[i];
         for (int i = 0; i < n; ++i) grey[i] = 0;
@@ -240,12 +281,14 @@ HPCOMP_INLINE void add_least(ConstRow m_j, ConstRow m_k, Row sum) {
     for (int l = 0; l < kLanes; ++l) sum[l] += smaller(m_j[l], m_k[l]);
 }
 
-// The larger of `part` and of what a rival cancels of a term, with the bias.
+// The larger of `part` and of what a rival cancels of a term, with the bias; all of what nothing backs.
+template <bool kStrong>
 HPCOMP_INLINE void biased_part(const Rules &rules, ConstRow own, ConstRow rival, ConstRow hold,
                                ConstRow e, Row part) {
     for (int l = 0; l < kLanes; ++l) {
         const float strength = smaller(smaller(rival[l], hold[l]), own[l]);
-        const float q = own[l] > 0 ? strength / own[l] : 0.0f;
+        const float unbacked = kStrong && smaller(rival[l], hold[l]) > 0 ? 1.0f : 0.0f;
+        const float q = own[l] > 0 ? strength / own[l] : unbacked;
         part[l] = larger((1 - e[l]) * (q * bias(rules, q)), part[l]);
     }
 }
@@ -289,11 +332,37 @@ HPCOMP_INLINE int find_terms(const float *p, int count, int begin, int *there, i
     return n;
 }
 
+// All is kept of what has no hue: `kept` (n, kLanes).
+HPCOMP_INLINE void keep_greys(const float *unit_x, const float *unit_y, int n, float *kept) {
+    for (int i = 0; i < n * kLanes; ++i) kept[i] = (unit_x[i] != 0) | (unit_y[i] != 0) ? kept[i] : 1.0f;
+}
+
+// What competes in a run of lanes: strengths (count, kBlock) instead of the lengths `m` (n, kLanes) of terms,
+// from column `begin` on and scaled by one power of two a pixel, but where all of a pixel are 0.
+HPCOMP_INLINE void take_strengths(const float *strengths, const int *there, int n, int begin, float *m) {
+    float largest[kLanes] = {};
+    for (int k = 0; k < n; ++k) {
+        ConstRow of = strengths + int64_t(there[k]) * kBlock + begin, length = m + k * kLanes;
+        for (int l = 0; l < kLanes; ++l) largest[l] = larger(largest[l], length[l] > 0 ? of[l] : 0.0f);
+    }
+    for (int k = 0; k < n; ++k) {
+        ConstRow of = strengths + int64_t(there[k]) * kBlock + begin;
+        Row length = m + k * kLanes;
+        for (int l = 0; l < kLanes; ++l) {
+            const float strength = length[l] > 0 ? of[l] * scale_of(largest[l], 0, 0, 0).down : 0.0f;
+            length[l] = largest[l] > 0 ? strength : length[l];
+        }
+    }
+}
+
 // The simultaneous rule for one run of lanes: `kept` (n, kLanes) gets what it keeps of `n` terms of
-// p (count, 2, kBlock), those of the numbers `there`, from column `begin` on. `pairs` holds
-// `pair_floats`, `neighbors` an int for each pair and each term.
-HPCOMP_INLINE void keep_beside_rivals(const Rules &rules, const float *p, const int *there, int n,
-                                      int begin, float *pairs, int *neighbors, float *kept) {
+// p (count, 2, kBlock), those of the numbers `there`, from column `begin` on. `strengths` (count, kBlock):
+// what competes, where `kStrong` says that it is not their lengths. `pairs` holds `pair_floats`,
+// `neighbors` an int for each pair and each term.
+template <bool kStrong>
+HPCOMP_INLINE void keep_beside_rivals(const Rules &rules, const float *p, const float *strengths,
+                                      const int *there, int n, int begin, float *pairs, int *neighbors,
+                                      float *kept) {
     if (n == 0) return;
 
     const auto pair = [n](float *table, int i, int k) { return table + (int64_t(i) * n + k) * kLanes; };
@@ -321,6 +390,7 @@ HPCOMP_INLINE void keep_beside_rivals(const Rules &rules, const float *p, const 
             mk[l] = __builtin_sqrtf(ux[l] * ux[l] + uy[l] * uy[l]) * own.up;
         }
     }
+    if (kStrong) take_strengths(strengths, there, n, begin, m);
     // Most hues differ, and then their shoulder is 0 without its angle: `neighbors` lists the
     // others of each term, itself first, in which alone its support has anything.
     int *degree = neighbors + int64_t(n) * n;
@@ -364,10 +434,11 @@ HPCOMP_INLINE void keep_beside_rivals(const Rules &rules, const float *p, const 
             float part[kLanes] = {};
             for (int j = 0; j < n; ++j)
                 if (j != i)
-                    biased_part(rules, pair(support, i, j), pair(support, j, i), hold + j * kLanes,
+                    biased_part<kStrong>(rules, pair(support, i, j), pair(support, j, i), hold + j * kLanes,
                                 pair(e, i, j), part);
             for (int l = 0; l < kLanes; ++l) kept[i * kLanes + l] = 1 - part[l];
         }
+        if (kStrong) keep_greys(unit_x, unit_y, n, kept);
         return;
     }
     for (int l = 0; l < kLanes; l += kRegister) {
@@ -376,9 +447,15 @@ HPCOMP_INLINE void keep_beside_rivals(const Rules &rules, const float *p, const 
             Lanes part = {}, whole = part + 1.0f;
             for (int j = 0; j < n; ++j) {
                 if (j == i) continue;
-                const Lanes own = lanes_of(pair(support, i, j) + l);
-                const Lanes other = smaller(lanes_of(pair(support, j, i) + l),
-                                            lanes_of(hold + j * kLanes + l));
+                Lanes own = lanes_of(pair(support, i, j) + l);
+                Lanes other = smaller(lanes_of(pair(support, j, i) + l),
+                                      lanes_of(hold + j * kLanes + l));
+                if (kStrong) {  // all of what nothing backs
+                    const Lanes none = {}, all = none + 1.0f;
+                    const auto unbacked = own == none;
+                    other = unbacked ? (other > none ? all : none) : other;
+                    own = unbacked ? all : own;
+                }
                 const Lanes weight = (1.0f - lanes_of(pair(e, i, j) + l)) * smaller(other, own);
                 const auto stronger = weight * whole > part * own;
                 part = stronger ? weight : part;
@@ -388,12 +465,14 @@ HPCOMP_INLINE void keep_beside_rivals(const Rules &rules, const float *p, const 
             std::memcpy(kept + i * kLanes + l, &scaled, sizeof scaled);
         }
     }
+    if (kStrong) keep_greys(unit_x, unit_y, n, kept);
 }
 
 // The same for whatever number of terms: `kept` (count, kBlock) gets all factors, from column `begin` on.
 // Which way a pixel goes depends on its own terms alone, so that those beside it change no bit of it.
-HPCOMP_INLINE void keep_at_once(const Rules &rules, const float *p, int count, int begin, float *scratch,
-                                float *kept) {
+template <bool kStrong>
+HPCOMP_INLINE void keep_at_once(const Rules &rules, const float *p, const float *strengths, int count,
+                                int begin, float *scratch, float *kept) {
     int *there = reinterpret_cast<int *>(scratch), *neighbors = there + count;
     scratch += number_floats(count);
     kept += begin;
@@ -406,7 +485,7 @@ HPCOMP_INLINE void keep_at_once(const Rules &rules, const float *p, int count, i
     for (int l = 0; l < kLanes; ++l) sorted += own[l] > kPairedTerms;
     const bool together = n <= kTabledTerms;
     if (together && sorted < kLanes) {
-        keep_beside_rivals(rules, p, there, n, begin, scratch, neighbors, of_few);
+        keep_beside_rivals<kStrong>(rules, p, strengths, there, n, begin, scratch, neighbors, of_few);
         for (int k = 0; k < n; ++k)
             std::memcpy(kept + there[k] * kBlock, of_few + k * kLanes, kLanes * sizeof(float));
     }
@@ -415,16 +494,18 @@ HPCOMP_INLINE void keep_at_once(const Rules &rules, const float *p, int count, i
         find_terms<1>(p, count, begin + l, there, own + l);
         if (own[l] > kPairedTerms) {
             double *terms = reinterpret_cast<double *>(scratch), *factors = terms + 2 * int64_t(own[l]);
+            double *of_terms = factors + own[l];
             for (int k = 0; k < own[l]; ++k) {
                 const float *term = p + int64_t(there[k]) * 2 * kBlock + begin + l;
                 terms[2 * int64_t(k)] = double(term[0]), terms[2 * int64_t(k) + 1] = double(term[kBlock]);
+                if (kStrong) of_terms[k] = double(strengths[int64_t(there[k]) * kBlock + begin + l]);
                 factors[k] = 1;
             }
-            keep_of_many(rules, terms, own[l], factors + own[l], factors);
+            keep_of_many(rules, terms, kStrong ? of_terms : nullptr, own[l], of_terms + own[l], factors);
             for (int k = 0; together && k < count; ++k) kept[k * kBlock + l] = 1;
             for (int k = 0; k < own[l]; ++k) kept[there[k] * kBlock + l] = float(factors[k]);
         } else {
-            keep_beside_rivals(rules, p, there, own[l], begin, scratch, neighbors, of_few);
+            keep_beside_rivals<kStrong>(rules, p, strengths, there, own[l], begin, scratch, neighbors, of_few);
             for (int k = 0; k < own[l]; ++k) kept[there[k] * kBlock + l] = of_few[k * kLanes + l];
         }
     }
@@ -433,6 +514,9 @@ HPCOMP_INLINE void keep_at_once(const Rules &rules, const float *p, int count, i
     for (int k = 0; k < count; ++k) {
         ConstRow x = p + int64_t(k) * 2 * kBlock + begin, y = x + kBlock;
         for (int l = 0; l < kLanes; ++l) unknown[l] += x[l] * 0 + y[l] * 0;
+        if (!kStrong) continue;
+        ConstRow m = strengths + int64_t(k) * kBlock + begin;
+        for (int l = 0; l < kLanes; ++l) unknown[l] += m[l] * 0;
     }
     int any = 0;
     for (int l = 0; l < kLanes; ++l) any |= unknown[l] != 0;
@@ -458,35 +542,55 @@ HPCOMP_INLINE int visit_pairs(const Rules &rules, int count, bool backwards, Vis
     return rules.permutation[0];
 }
 
-// Reduces weighted p (count, 2, kBlock) to its first term's place, and tells in `kept` (count, kBlock) what
-// is kept of each term; `kept` also is scratch, as are `of_left` (count, kBlock) and `scratch`, which holds
-// `reducing_floats`.
-HPCOMP_INLINE void reduce_terms(const Rules &rules, float *p, int count, int n, float *kept, float *of_left,
-                                float *scratch) {
+// The sum of terms p (count, 2, kBlock) of which `kept` (count, kBlock) is kept, in the place of the first.
+HPCOMP_INLINE void sum_kept(float *p, const float *kept, int count, int begin) {
+    float sum0[kLanes] = {}, sum1[kLanes] = {};
+    for (int k = 0; k < count; ++k) {
+        const float *p0 = p + int64_t(k) * 2 * kBlock + begin, *factor = kept + int64_t(k) * kBlock + begin;
+        for (int l = 0; l < kLanes; ++l) sum0[l] += factor[l] * p0[l];
+        for (int l = 0; l < kLanes; ++l) sum1[l] += factor[l] * p0[kBlock + l];
+    }
+    std::memcpy(p + begin, sum0, sizeof sum0);
+    std::memcpy(p + kBlock + begin, sum1, sizeof sum1);
+}
+
+// The same of their strengths (count, kBlock), after that of p: what has no hue left has none.
+HPCOMP_INLINE void sum_kept_strengths(const float *p, float *strengths, const float *kept, int count, int begin) {
+    float sum[kLanes] = {};
+    for (int k = 0; k < count; ++k) {
+        ConstRow m = strengths + int64_t(k) * kBlock + begin, factor = kept + int64_t(k) * kBlock + begin;
+        for (int l = 0; l < kLanes; ++l) sum[l] += factor[l] * m[l];
+    }
+    ConstRow p0 = p + begin, p1 = p + kBlock + begin;
+    Row m = strengths + begin;
+    for (int l = 0; l < kLanes; ++l) m[l] = (p0[l] != 0) | (p1[l] != 0) ? sum[l] : 0.0f;
+}
+
+// Reduces weighted p (count, 2, kBlock), and their strengths (count, kBlock) if they have some, to the place of
+// the first, and tells in `kept` (count, kBlock) what is kept of each term; `kept` also is scratch, as are
+// `of_left` (count, kBlock) and `scratch`, which holds `reducing_floats`.
+HPCOMP_INLINE void reduce_terms(const Rules &rules, float *p, float *strengths, int count, int n, float *kept,
+                                float *of_left, float *scratch) {
     const auto x = [p](int k) { return p + int64_t(k) * 2 * kBlock; };
+    const auto m = [strengths](int k) { return strengths ? strengths + int64_t(k) * kBlock : nullptr; };
     if (rules.order == Order::kSimultaneous) {
         for (int begin = 0; begin < n; begin += kLanes) {
-            keep_at_once(rules, p, count, begin, scratch, kept);
-            float sum0[kLanes] = {}, sum1[kLanes] = {};
-            for (int k = 0; k < count; ++k) {
-                const float *p0 = x(k) + begin, *factor = kept + int64_t(k) * kBlock + begin;
-                for (int l = 0; l < kLanes; ++l) sum0[l] += factor[l] * p0[l];
-                for (int l = 0; l < kLanes; ++l) sum1[l] += factor[l] * p0[kBlock + l];
+            if (strengths) {
+                keep_at_once<true>(rules, p, strengths, count, begin, scratch, kept);
+                sum_kept(p, kept, count, begin);
+                sum_kept_strengths(p, strengths, kept, count, begin);
+            } else {
+                keep_at_once<false>(rules, p, nullptr, count, begin, scratch, kept);
+                sum_kept(p, kept, count, begin);
             }
-            std::memcpy(x(0) + begin, sum0, sizeof sum0);
-            std::memcpy(x(0) + kBlock + begin, sum1, sizeof sum1);
         }
         return;
     }
     const int root = visit_pairs(rules, count, false, [&](int left, int right) {
         Row a = of_left + int64_t(right) * kBlock, b = kept + int64_t(right) * kBlock;
-        Row p0 = x(left), p1 = x(left) + kBlock;
-        ConstRow q0 = x(right), q1 = x(right) + kBlock;
-        keep(rules, n, p0, p1, q0, q1, false, a, b);
-        for (int i = 0; i < n; ++i) {
-            p0[i] = a[i] * p0[i] + b[i] * q0[i];
-            p1[i] = a[i] * p1[i] + b[i] * q1[i];
-        }
+        const ChromaPlanes added{x(right), x(right) + kBlock, m(right)};
+        keep(rules, n, {x(left), x(left) + kBlock, m(left)}, added, false, a, b);
+        add_kept(n, x(left), x(left) + kBlock, m(left), added, a, b);
     });
     for (int i = 0; i < n; ++i) kept[int64_t(root) * kBlock + i] = 1;
     visit_pairs(rules, count, true, [&](int left, int right) {
@@ -497,12 +601,14 @@ HPCOMP_INLINE void reduce_terms(const Rules &rules, float *p, int count, int n, 
             of_sum[i] *= a[i];
         }
     });
-    if (root != 0) std::memcpy(x(0), x(root), 2 * sizeof(Plane));
+    if (root == 0) return;
+    std::memcpy(x(0), x(root), 2 * sizeof(Plane));
+    if (strengths) std::memcpy(m(0), m(root), sizeof(Plane));
 }
 
 // The weights of the terms of a stack. Of each layer come the factors F_A and F_B (count, kBlock); F_A
-// becomes its weight, which p (count, 2, kBlock) takes.
-HPCOMP_INLINE void weigh(int count, int n, float *f_a, const float *f_b, float *p) {
+// becomes its weight, which p (count, 2, kBlock) takes, and the strengths (count, kBlock) if there are some.
+HPCOMP_INLINE void weigh(int count, int n, float *f_a, const float *f_b, float *p, float *strengths = nullptr) {
     // w_i = F_A,i times the F_B of the layers above, gathered from the top.
     Plane above;
     for (int i = 0; i < n; ++i) above[i] = 1;
@@ -515,6 +621,9 @@ HPCOMP_INLINE void weigh(int count, int n, float *f_a, const float *f_b, float *
             p0[i] *= weight[i];
             p1[i] *= weight[i];
         }
+        if (strengths == nullptr) continue;
+        Row m = strengths + int64_t(k) * kBlock;
+        for (int i = 0; i < n; ++i) m[i] *= weight[i];
     }
 }
 

@@ -1,5 +1,6 @@
 #include "addition.h"
 #include "load.h"
+#include "weaving.h"
 
 #ifndef HPCOMP_LEVEL
 #error "compile with -DHPCOMP_LEVEL=<name of this instruction set's engine>"
@@ -23,13 +24,14 @@ HPCOMP_INLINE void copy(int n, const Light &from, const Light &to) {
     const float *const sources[6] = {from.luminance, from.p0, from.p1, from.red, from.green, from.blue};
     float *const targets[6] = {to.luminance, to.p0, to.p1, to.red, to.green, to.blue};
     for (int plane = 0; plane < 6; ++plane) std::memcpy(targets[plane], sources[plane], n * sizeof(float));
+    if (from.strength) std::memcpy(to.strength, from.strength, n * sizeof(float));
 }
 
 HPCOMP_INLINE void under_all(const Rules &rules, int n, const Light &term, ConstRow alpha, const float *lo,
                              const float *hi, const State &at) {
     Plane whole;
     Row transmittance = at.transmittance, alpha_sum = at.alpha;
-    if (rules.maps != Maps::kLinear) {
+    if (rules.bounded) {
         for (int i = 0; i < n; ++i) {
             at.lo[i] += transmittance[i] * lo[i];
             at.hi[i] += transmittance[i] * hi[i];
@@ -49,20 +51,22 @@ HPCOMP_INLINE void above_all(const Rules &rules, const Layer &layer, int n, cons
     Row alpha_sum = at.alpha;
     factor(layer.factor_a, at.alpha, n, f_a);
     factor(layer.factor_b, alpha, n, f_b);
-    if (rules.maps != Maps::kLinear) bound(n, f_a, f_b, lo, hi, at);
+    if (rules.bounded) bound(n, f_a, f_b, lo, hi, at);
     for (int i = 0; i < n; ++i) alpha_sum[i] = at_most_one(f_a[i] * alpha[i] + f_b[i] * alpha_sum[i]);
     add(rules, n, at.light, f_b, term, f_a, layer.behind);  // Eq. 2 with (+)
 }
 
 HPCOMP_INLINE Light light_at(const Light &light, int64_t pixel) {
     return {light.luminance + pixel, light.p0 + pixel, light.p1 + pixel,
-            light.red + pixel, light.green + pixel, light.blue + pixel};
+            light.red + pixel, light.green + pixel, light.blue + pixel,
+            light.strength ? light.strength + pixel : nullptr};
 }
 
 HPCOMP_INLINE State state_at(const State &state, int64_t pixel) {
     return {light_at(state.light, pixel), state.alpha + pixel,
             state.transmittance ? state.transmittance + pixel : nullptr,
-            state.lo ? state.lo + pixel : nullptr, state.hi ? state.hi + pixel : nullptr};
+            state.lo ? state.lo + pixel : nullptr, state.hi ? state.hi + pixel : nullptr,
+            state.left, state.top};
 }
 
 HPCOMP_INLINE void show(const Observer &observer, int number, int n, const Light &term, const float *alpha) {
@@ -79,7 +83,7 @@ void add_layers(const Rules &rules, const Layer *layers, const int *numbers, int
             for (int k = 0; k < count; ++k) {
                 LightPlanes planes;
                 Plane alpha, lo, hi;
-                const Light term = planes.light();
+                const Light term = planes.light(rules.strength);
                 nonfinite[k] += load_term(rules, layers[k], x, y, n, term, alpha, lo, hi);
                 if (observer) show(*observer, numbers[k], n, term, alpha);
                 if (rules.order == Order::kFrontToBack) {
@@ -87,7 +91,7 @@ void add_layers(const Rules &rules, const Layer *layers, const int *numbers, int
                 } else if (numbers[k] == 0) {
                     copy(n, term, at.light);
                     std::memcpy(at.alpha, alpha, n * sizeof(float));
-                    if (rules.maps != Maps::kLinear) {
+                    if (rules.bounded) {
                         std::memcpy(at.lo, lo, n * sizeof(float));
                         std::memcpy(at.hi, hi, n * sizeof(float));
                     }
@@ -131,29 +135,53 @@ HPCOMP_INLINE void sum_terms(int count, int n, const float *weight, const float 
     }
 }
 
+// What lies below the stack, as one more term of the weight that the alpha of the others leaves it.
+void add_background_term(const Rules &rules, int n, const Light &term, float *weight, const State &at) {
+    for (int i = 0; i < n; ++i) {
+        weight[i] = 1 - at.alpha[i];
+        term.luminance[i] = rules.background_luminance;
+        term.p0[i] = weight[i] * rules.background_p[0];
+        term.p1[i] = weight[i] * rules.background_p[1];
+        term.red[i] = rules.background_rgb[0];
+        term.green[i] = rules.background_rgb[1];
+        term.blue[i] = rules.background_rgb[2];
+        at.lo[i] += weight[i] * rules.background_bounds[0];
+        at.hi[i] += weight[i] * rules.background_bounds[1];
+        at.alpha[i] = 1;
+    }
+    for (int i = 0; term.strength && i < n; ++i) term.strength[i] = weight[i] * rules.background_strength;
+}
+
 // `scratch` holds `scratch_floats` of them.
 void reduce_layers(const Rules &rules, const Layer *layers, int count, int width, int height,
                    const State &state, float *scratch, int64_t *nonfinite, const Observer *observer) {
-    const int64_t planes = int64_t(count) * kBlock;
-    float *p = scratch;  // (count, 2, kBlock), then the others (count, kBlock):
-    const Light terms{p + 2 * planes, nullptr, nullptr, p + 3 * planes, p + 4 * planes, p + 5 * planes};
+    const bool with_background = rules.order == Order::kWoven && rules.has_background;
+    const int all = count + (with_background ? 1 : 0);
+    const int64_t planes = int64_t(all) * kBlock;
+    const bool strong = rules.strength != Strength::kChroma;
+    float *p = scratch;  // (all, 2, kBlock), then the others (all, kBlock):
+    const Light terms{p + 2 * planes, nullptr,       nullptr, p + 3 * planes, p + 4 * planes,
+                      p + 5 * planes, strong ? p + 9 * planes : nullptr};
     float *f_a = p + 6 * planes, *f_b = p + 7 * planes, *kept = p + 8 * planes;
+    const auto term_at = [&](int k) {
+        const int64_t of = int64_t(k) * kBlock;
+        return Light{terms.luminance + of, p + 2 * of,        p + 2 * of + kBlock, terms.red + of,
+                     terms.green + of,     terms.blue + of, strong ? terms.strength + of : nullptr};
+    };
     for (int y = 0; y < height; ++y) {
         for (int x = 0; x < width; x += kBlock) {
             const int n = width - x < kBlock ? width - x : kBlock;
             const State at = state_at(state, int64_t(y) * width + x);
             // Lanes beyond the row take part in the reduction, and must be harmless.
-            if (n < kBlock) std::memset(scratch, 0, size_t(9 * planes) * sizeof(float));
+            if (n < kBlock) std::memset(scratch, 0, size_t(kTermPlanes * planes) * sizeof(float));
             for (int k = 0; k < count; ++k) {
                 Plane alpha, lo, hi;
-                const int64_t of = int64_t(k) * kBlock;
-                const Light term{terms.luminance + of, p + 2 * of, p + 2 * of + kBlock, terms.red + of,
-                                 terms.green + of, terms.blue + of};
-                float *layer_a = f_a + of, *layer_b = f_b + of;
+                const Light term = term_at(k);
+                float *layer_a = f_a + int64_t(k) * kBlock, *layer_b = f_b + int64_t(k) * kBlock;
                 nonfinite[k] += load_term(rules, layers[k], x, y, n, term, alpha, lo, hi);
                 if (observer) show(*observer, k, n, term, alpha);
                 factors(layers[k], k, n, alpha, layer_a, layer_b, at.alpha);
-                if (rules.maps == Maps::kLinear) continue;
+                if (!rules.bounded) continue;
                 if (k == 0) {
                     // Under it was nothing, of which the planes know not.
                     std::memset(at.lo, 0, n * sizeof(float));
@@ -161,13 +189,22 @@ void reduce_layers(const Rules &rules, const Layer *layers, int count, int width
                 }
                 bound(n, layer_a, layer_b, lo, hi, at);
             }
-            weigh(count, n, f_a, f_b, p);
-            reduce_terms(rules, p, count, n, kept, f_b, scratch + term_floats(count));
+            weigh(count, n, f_a, f_b, p, terms.strength);
+            if (with_background) add_background_term(rules, n, term_at(count), f_a + int64_t(count) * kBlock, at);
+            float *reducing = scratch + term_floats(all);
+            if (rules.order == Order::kWoven) {
+                Plane phase;
+                phases(rules.weave, state.left + x, state.top + y, phase);
+                weave_terms(rules, p, terms.strength, all, n, phase, reducing, kept);
+            } else {
+                reduce_terms(rules, p, terms.strength, all, n, kept, f_b, reducing);
+            }
             std::memcpy(at.light.p0, p, n * sizeof(float));
             std::memcpy(at.light.p1, p + kBlock, n * sizeof(float));
+            if (strong) std::memcpy(at.light.strength, terms.strength, n * sizeof(float));
             if (rules.maps != Maps::kLinear)  // the plain sum
                 for (int64_t i = 0; i < planes; ++i) kept[i] = 1;
-            sum_terms(count, n, f_a, kept, terms, at.light);
+            sum_terms(all, n, f_a, kept, terms, at.light);
             if (observer) observer->block(observer->self, x, y, n);
         }
     }
@@ -296,13 +333,13 @@ HPCOMP_INLINE void into_half_range(float *red, float *green, float *blue) {
     for (float *v : channels) *v *= factor;
 }
 
-// The stack over its background: its light, its alpha and what bounds it.
+// The stack over its background: its light, its alpha and what bounds it. Woven terms have it among them.
 HPCOMP_INLINE void put_on_background(const Rules &rules, int n, const Light &stack, Row alpha, Row lo, Row hi) {
-    if (!rules.has_background) return;
+    if (!rules.has_background || rules.order == Order::kWoven) return;
     LightPlanes planes;
     Plane whole, uncovered;
     for (int i = 0; i < n; ++i) whole[i] = 1, uncovered[i] = 1 - alpha[i];
-    if (rules.maps != Maps::kLinear) {
+    if (rules.bounded) {
         for (int i = 0; i < n; ++i) {
             lo[i] += uncovered[i] * rules.background_bounds[0];
             hi[i] += uncovered[i] * rules.background_bounds[1];
@@ -315,9 +352,10 @@ HPCOMP_INLINE void put_on_background(const Rules &rules, int n, const Light &sta
         planes.red[i] = rules.background_rgb[0];
         planes.green[i] = rules.background_rgb[1];
         planes.blue[i] = rules.background_rgb[2];
+        planes.strength[i] = rules.background_strength;
         alpha[i] = 1;
     }
-    add(rules, n, stack, whole, planes.light(), uncovered, true);
+    add(rules, n, stack, whole, planes.light(rules.strength), uncovered, true);
 }
 
 void finish(const Rules &rules, int64_t pixels, const State &state, const Output &out, Losses *losses) {
@@ -325,16 +363,20 @@ void finish(const Rules &rules, int64_t pixels, const State &state, const Output
         const int n = pixels - begin < kBlock ? int(pixels - begin) : kBlock;
         const State at = state_at(state, begin);
         LightPlanes planes;
-        const Light light = planes.light();
+        const Light light = planes.light(rules.strength);
         Plane alpha, lo, hi;
         copy(n, at.light, light);
         std::memcpy(alpha, at.alpha, n * sizeof(float));
-        if (rules.maps != Maps::kLinear) {
+        if (rules.bounded) {
             std::memcpy(lo, at.lo, n * sizeof(float));
             std::memcpy(hi, at.hi, n * sizeof(float));
         }
         put_on_background(rules, n, light, alpha, lo, hi);
-        if (rules.maps != Maps::kLinear) to_color(rules, n, light, lo, hi);
+        if (rules.maps != Maps::kLinear)
+            to_color(rules, n, light, lo, hi);
+        else if (rules.bounded)
+            bring_within(rules, n, light.luminance, light.p0, light.p1, lo, hi, light.red, light.green,
+                         light.blue);
         float *const red = planes.red, *const green = planes.green, *const blue = planes.blue;
         if (rules.gain != 1) {
             for (int i = 0; i < n; ++i) {

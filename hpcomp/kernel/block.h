@@ -16,8 +16,10 @@ constexpr int kLanes = 16;
 
 enum class Sample : int { kU8, kU16, kHalf, kFloat };
 enum class Factor : int { kZero, kOne, kAlpha, kRest };
-enum class Blending : int { kHuePreserving, kTraditional, kForemost };
-enum class Order : int { kBottomUp, kFrontToBack, kPermutation, kBalanced, kSimultaneous };
+enum class Blending : int { kHuePreserving, kTraditional, kForemost, kWoven };
+enum class Order : int { kBottomUp, kFrontToBack, kPermutation, kBalanced, kSimultaneous, kWoven };
+enum class Strength : int { kChroma, kPerceived, kCoverage };
+enum class Pattern : int { kStripes, kNoise };
 
 // Terms of a pixel up to which all pairs of them are tabled; more are sorted by hue, see `manyterms.h`. Pixels
 // side by side share a table, though their terms may be others.
@@ -26,24 +28,28 @@ constexpr int kPairedTerms = 32, kTabledTerms = 64;
 // So that what follows is aligned as doubles are.
 constexpr int64_t rounded_up(int64_t floats) { return (floats + 1) / 2 * 2; }
 
-// Scratch of a reduction of `n` layers, in floats: the six planes of each term, its factors and what is
+// Scratch of a reduction of `n` layers, in floats: the seven planes of each term, its factors and what is
 // kept of it; at once also the numbers of those with chroma, and the tables of pairs or what sorted terms
 // take, and these themselves. The pairs have their shoulders and supports, four rows of each term, and as
-// ints its neighbors and their number.
-constexpr int64_t term_floats(int64_t n) { return n * 9 * kBlock; }
+// ints its neighbors and their number. Woven terms, of which the background is one, have their hues and
+// strengths.
+constexpr int64_t kTermPlanes = 10;
+constexpr int64_t term_floats(int64_t n) { return n * kTermPlanes * kBlock; }
 constexpr int64_t tabled(int64_t n) { return n < kTabledTerms ? n : kTabledTerms; }
 constexpr int64_t number_floats(int64_t n) { return rounded_up(n + (tabled(n) + 1) * tabled(n)); }
 constexpr int64_t pair_floats(int64_t n) { return (2 * tabled(n) + 4) * tabled(n) * kLanes; }
 constexpr int64_t sorting_doubles(int64_t n) { return 23 * n + 5; }
-constexpr int64_t many_terms_floats(int64_t n) {
-    return n > kPairedTerms ? 2 * (3 * n + sorting_doubles(n)) : 0;
-}
+constexpr int64_t run_doubles(int64_t n) { return 4 * n + sorting_doubles(n); }
+constexpr int64_t many_terms_floats(int64_t n) { return n > kPairedTerms ? 2 * run_doubles(n) : 0; }
+constexpr int64_t weaving_floats(int64_t n) { return 2 * rounded_up(n) + 5 * n * kLanes; }
 constexpr int64_t reducing_floats(Order order, int64_t n) {
+    if (order == Order::kWoven) return weaving_floats(n);
     if (order != Order::kSimultaneous) return 0;
     const int64_t pairs = pair_floats(n), many = many_terms_floats(n);
     return number_floats(n) + (pairs > many ? pairs : many);
 }
-constexpr int64_t scratch_floats(Order order, int64_t n) {
+constexpr int64_t scratch_floats(Order order, int64_t layers) {
+    const int64_t n = layers + (order == Order::kWoven ? 1 : 0);
     return term_floats(n) + reducing_floats(order, n);
 }
 
@@ -88,8 +94,22 @@ struct Layer {
     int zero_nonfinite;     // else NaN and Inf are kept, and counted either way
 };
 
+// The pattern of woven blending: its size in pixels, and of noise a tile whose cells are numbered.
+struct Weave {
+    Pattern pattern;
+    int size;
+    const uint16_t *tile;    // (side, side): each number below side * side once
+    int side;
+};
+
 struct Rules : SpaceMaps {
     Blending blending;
+    Strength strength;
+    OklabNumbers perception; // what strengths but chroma are measured with
+    float half_chroma;       // at which a colour has half the strength of its coverage
+    Weave weave;
+    int bounded;             // results are brought back into gamut
+    float rounding_angle;    // up to which hues are one but for rounding
     float tolerance, inverse_tolerance;  // radians; the inverse is 0 for a hard switch
     float end_sine, end_cosine;          // of the angle from which hues differ
     float gray_power;        // by how much the power of what hues cancel is above 1: 3b
@@ -98,21 +118,24 @@ struct Rules : SpaceMaps {
     int layers;
     int has_background;
     float background_luminance, background_p[2], background_rgb[3];
-    float background_bounds[2];
+    float background_bounds[2], background_strength;
     float gain;              // 2 to the exposure
 };
 
 // Planes of a colour, or of a sum of such. Where the maps are linear red, green and blue are the colour;
 // else they are the plain sum of the colours that went in, which is the colour where (+) did nothing else.
+// What competes is the strength; null where that is the length of p.
 struct Light {
-    float *luminance, *p0, *p1, *red, *green, *blue;
+    float *luminance, *p0, *p1, *red, *green, *blue, *strength;
 };
 
-// Planes of the strip so far: its light, its alpha, the transmittance in front, and where the maps are
-// not linear what bounds the channels of the result; null where they are not needed.
+// Planes of the strip so far: its light, its alpha, the transmittance in front, and what bounds the
+// channels of the result; null where they are not needed. `left`, `top`: its first pixel, from the corner
+// of the canvas.
 struct State {
     Light light;
     float *alpha, *transmittance, *lo, *hi;
+    int left, top;
 };
 
 // How linear light becomes the codes of integer samples.

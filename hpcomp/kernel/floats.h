@@ -18,9 +18,11 @@ using ConstRow = const float *__restrict__;
 
 // A light of a block with planes of its own.
 struct LightPlanes {
-    Plane luminance, p0, p1, red, green, blue;
+    Plane luminance, p0, p1, red, green, blue, strength;
 
-    Light light() { return {luminance, p0, p1, red, green, blue}; }
+    Light light(Strength by = Strength::kChroma) {
+        return {luminance, p0, p1, red, green, blue, by == Strength::kChroma ? nullptr : strength};
+    }
 };
 
 HPCOMP_INLINE uint32_t bits_of(float value) {

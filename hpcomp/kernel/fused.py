@@ -20,8 +20,10 @@ from ..blending.addition import ROUNDING_ANGLE
 from ..blending.orders import ORDERS
 from ..blending.porter_duff import Factor
 from ..blending.rules import Reduction, StackRules, checked_rules
+from ..blending.strength import HALF_CHROMA, STRENGTHS
+from ..blending.terms import term_of
+from ..blending.weaving import noise_tile
 from ..color import spaces
-from ..color.gamut import bounds_of
 from ..color.primaries import REC709, Primaries, conversion_pairs, to_xyz
 from ..color.quantization import Losses
 from ..color.samples import OUTPUT_TYPES, PLAIN, Decoding, Samples, Strip, cropped, linear_rgba
@@ -43,6 +45,18 @@ _BLENDINGS = {
     "hue-preserving": _kernel.Blending.HUE_PRESERVING,
     "traditional": _kernel.Blending.TRADITIONAL,
     "foremost": _kernel.Blending.FOREMOST,
+    "woven": _kernel.Blending.WOVEN,
+}
+
+#: But for the chroma, which the loops have at hand.
+_STRENGTHS = {
+    "perceived": _kernel.Strength.PERCEIVED,
+    "coverage": _kernel.Strength.COVERAGE,
+}
+
+_PATTERNS = {
+    "stripes": _kernel.Pattern.STRIPES,
+    "noise": _kernel.Pattern.NOISE,
 }
 
 _FOLDS = {
@@ -76,10 +90,15 @@ class KernelEngine:
     pairs_at_once = 1 << 24
 
     def start(
-        self, rules: StackRules, width: int, height: int, dtype: Any = np.float32
+        self,
+        rules: StackRules,
+        width: int,
+        height: int,
+        dtype: Any = np.float32,
+        origin: tuple[int, int] = (0, 0),
     ) -> Accumulator:
         """An empty accumulator for a strip of that size, whose planes are float32."""
-        return Accumulator(rules, width, height)
+        return Accumulator(rules, width, height, origin)
 
     def bytes_to_reduce(self, rules: StackRules, layers: int) -> int:
         """Scratch for the terms of a block, and for what reduces them."""
@@ -88,11 +107,15 @@ class KernelEngine:
         return _kernel.scratch_bytes(order=_order_of(rules), layers=layers)
 
     def keep_runs(
-        self, rules: StackRules, counts: NDArray[np.int64], p: NDArray[np.float64]
+        self,
+        rules: StackRules,
+        counts: NDArray[np.int64],
+        p: NDArray[np.float64],
+        strengths: NDArray[np.float64] | None,
     ) -> NDArray[np.float64]:
-        """What is kept of each of runs of chroma vectors, added at once: p (2, n) → (n)."""
+        """What is kept of each of runs of chroma vectors, added at once: p (2, n), m (n) → (n)."""
         kept = np.empty(p.shape[1])
-        _kernel.keep_runs(rules=rules_of(rules), counts=counts, p=p, kept=kept)
+        _kernel.keep_runs(rules=rules_of(rules), counts=counts, p=p, strengths=strengths, kept=kept)
         return kept
 
     def bytes_to_keep(self, terms: int) -> int:
@@ -100,8 +123,9 @@ class KernelEngine:
         return _kernel.run_bytes(terms=terms)
 
     def measures(self, rules: StackRules) -> bool:
-        """It measures in linear spaces alone."""
-        return rules.space.linear
+        """It measures in linear spaces alone, and what competes by its chroma in them."""
+        by_chroma = rules.strength is STRENGTHS["chroma"] and not rules.blending.depends_on_place
+        return rules.space.linear and by_chroma
 
     def hues(self, strip: Strip, like: HueHistogram) -> HueHistogram | None:
         """The histogram of one strip: the layer's, in the summary of a stack of that layer."""
@@ -145,6 +169,9 @@ def _rules_of_one(space: str) -> StackRules:
         background=None,
         exposure=0.0,
         primaries=REC709.name,
+        strength="chroma",
+        weave="stripes",
+        weave_size=8,
     )
 
 
@@ -154,12 +181,17 @@ ENGINE = KernelEngine()
 class Accumulator:
     """Takes the layers of one strip in `rules.arrival` order, and gives their composite."""
 
-    def __init__(self, rules: StackRules, width: int, height: int) -> None:
+    def __init__(self, rules: StackRules, width: int, height: int, origin: tuple[int, int]) -> None:
         self.rules, self.shape = rules, (height, width, 4)
         self.nonfinite = [0] * len(rules.operators)
         self._decoded: set[int] = set()  # layers whose broken pixels were counted by numpy
         self._strip = _kernel.Accumulator(
-            rules=rules_of(rules), width=width, height=height, level=chosen_level()
+            rules=rules_of(rules),
+            width=width,
+            height=height,
+            left=origin[0],
+            top=origin[1],
+            level=chosen_level(),
         )
 
     def add(self, numbers: Sequence[int], strips: Sequence[Strip]) -> None:
@@ -267,23 +299,50 @@ def rules_of(rules: StackRules) -> _kernel.Rules:
         background=_background(rules),
         gain=2.0**rules.exposure,
         space=_maps(rules.blending_space),
+        competition=_competition(rules),
+        weave=_weave(rules),
     )
 
 
+def _competition(rules: StackRules) -> _kernel.Competition | None:
+    """How strong colours are; None where that is their chroma."""
+    strength = _STRENGTHS.get(rules.strength.name)
+    if strength is None:
+        return None
+    oklab = _maps(spaces.space("oklab", rules.space.rgb_to_xyz))
+    return _kernel.competition(strength=strength, oklab=oklab, half_chroma=HALF_CHROMA)
+
+
+def _weave(rules: StackRules) -> _kernel.Weave | None:
+    """The pattern, where there is one."""
+    if not rules.blending.depends_on_place:
+        return None
+    pattern = _PATTERNS[rules.weave.pattern.name]
+    tile = noise_tile() if pattern is _kernel.Pattern.NOISE else None
+    return _kernel.weave(pattern=pattern, size=rules.weave.size, tile=tile)
+
+
 def _order_of(rules: StackRules) -> _kernel.Order:
+    if rules.blending.depends_on_place:
+        return _kernel.Order.WOVEN
     fold = _FOLDS.get(rules.reduction)
     return _ORDERS.get(rules.order.name, _kernel.Order.PERMUTATION) if fold is None else fold
 
 
 def _background(rules: StackRules) -> _kernel.Background | None:
-    """The background as a term, and in a space that is not linear what bounds its channels."""
+    """The background as a term, and where results are bounded what bounds its channels."""
     if rules.background is None:
         return None
-    space, color = rules.blending_space, np.array(rules.background, np.float32)[:, None]
-    luminance, p = space.forward(color)
-    lo, hi = (0.0, 0.0) if space.linear else bounds_of(space, color, 1.0)[:, 0].tolist()
+    color = np.array(rules.background, np.float32)[:, None]
+    term = term_of(rules, color, 1.0)
+    lo, hi = term.bounds[:, 0].tolist() if rules.bounded else (0.0, 0.0)
     return _kernel.background(
-        luminance=float(luminance[0]), p=p[:, 0].tolist(), rgb=color[:, 0].tolist(), lo=lo, hi=hi
+        luminance=float(term.luminance[0]),
+        p=term.p[:, 0].tolist(),
+        rgb=color[:, 0].tolist(),
+        lo=lo,
+        hi=hi,
+        strength=0.0 if term.strength is None else float(term.strength[0]),
     )
 
 

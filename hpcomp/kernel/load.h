@@ -139,16 +139,9 @@ HPCOMP_INLINE int64_t load(const Layer &layer, int x, int y, int n, float *red, 
     return nonfinite;
 }
 
-// Colours as terms of the stack: luminance and p.
-HPCOMP_INLINE void to_terms(const Rules &rules, int n, const float *red, const float *green,
-                            const float *blue, float *luminance, float *p0, float *p1) {
-    if (rules.maps != Maps::kLinear) {
-        for (int i = 0; i < n; ++i)
-            luminance[i] = green[i] + rules.weight_red * (red[i] - green[i]) +
-                           rules.weight_blue * (blue[i] - green[i]);
-        to_p(rules, n, red, green, blue, luminance, p0, p1);
-        return;
-    }
+// Luminance and p of colours, in a space whose maps are linear.
+HPCOMP_INLINE void to_plane(const Rules &rules, int n, const float *red, const float *green, const float *blue,
+                            float *luminance, float *p0, float *p1) {
     for (int i = 0; i < n; ++i) {
         const float red_green = red[i] - green[i], blue_green = blue[i] - green[i];
         luminance[i] = green[i] + rules.weight_red * red_green + rules.weight_blue * blue_green;
@@ -157,13 +150,52 @@ HPCOMP_INLINE void to_terms(const Rules &rules, int n, const float *red, const f
     }
 }
 
-// A block of a layer as a term and its alpha, and where the maps are not linear what bounds its channels.
+// Strengths from Oklab's chroma of premultiplied colours, which is of degree 1/3, and their alpha. What has
+// no hue has no strength.
+HPCOMP_INLINE void to_strengths(const Rules &rules, int n, const float *alpha, const float *p0, const float *p1,
+                                float *strength) {
+    const bool covers = rules.strength == Strength::kCoverage;
+#pragma GCC ivdep
+    for (int i = 0; i < n; ++i) {
+        const float chroma = strength[i], root = cube_root(alpha[i]);
+        const float whole = chroma + root * rules.half_chroma;
+        const float coverage = whole != 0 ? alpha[i] * (chroma / whole) : 0.0f;
+        const float m = covers ? coverage : root * root * chroma;
+        strength[i] = (p0[i] != 0) | (p1[i] != 0) ? m : 0.0f;
+    }
+}
+
+// Colours as terms of the stack: luminance and p, and where they have one their strength.
+HPCOMP_INLINE void to_terms(const Rules &rules, int n, const Light &to, const float *alpha) {
+    const float *red = to.red, *green = to.green, *blue = to.blue;
+    float *luminance = to.luminance, *p0 = to.p0, *p1 = to.p1;
+    if (rules.maps != Maps::kLinear) {
+        for (int i = 0; i < n; ++i)
+            luminance[i] = green[i] + rules.weight_red * (red[i] - green[i]) +
+                           rules.weight_blue * (blue[i] - green[i]);
+    }
+    if (to.strength && rules.maps == Maps::kOklab) {
+        to_oklab<true>(rules, n, red, green, blue, luminance, p0, p1, to.strength);
+        to_strengths(rules, n, alpha, p0, p1, to.strength);
+        return;
+    }
+    if (rules.maps != Maps::kLinear) {
+        to_p(rules, n, red, green, blue, luminance, p0, p1);
+    } else {
+        to_plane(rules, n, red, green, blue, luminance, p0, p1);
+    }
+    if (to.strength) {
+        oklab_chroma(rules.perception, n, red, green, blue, to.strength);
+        to_strengths(rules, n, alpha, p0, p1, to.strength);
+    }
+}
+// A block of a layer as a term and its alpha, and where results are bounded what bounds its channels.
 // Returns as `load` does.
 HPCOMP_INLINE int64_t load_term(const Rules &rules, const Layer &layer, int x, int y, int n, const Light &to,
                                 float *alpha, float *lo, float *hi) {
     const int64_t nonfinite = load(layer, x, y, n, to.red, to.green, to.blue, alpha);
-    to_terms(rules, n, to.red, to.green, to.blue, to.luminance, to.p0, to.p1);
-    if (rules.maps != Maps::kLinear) {
+    to_terms(rules, n, to, alpha);
+    if (rules.bounded) {
         for (int i = 0; i < n; ++i) {
             lo[i] = smaller(smallest_of(to.red[i], to.green[i], to.blue[i]), 0.0f);
             hi[i] = larger(alpha[i], largest_of(to.red[i], to.green[i], to.blue[i]));  // not a NaN alpha

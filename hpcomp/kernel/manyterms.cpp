@@ -17,7 +17,7 @@ constexpr double kTurn = 2 * kPi;
 constexpr double kAngleMargin = 1e-12;
 
 struct Term {
-    double hue, m;  // radians in (-pi, pi]; |p|
+    double hue, m;  // radians in (-pi, pi]; |p|, or another strength
     int64_t number;
 };
 
@@ -78,13 +78,15 @@ double shoulder(const Rules &rules, double angle) {
     return 1 - t * t * (3 - 2 * t);
 }
 
-// Terms sorted by hue, then by length; false where one is NaN or infinite.
-bool sort_terms(const double *p, const HueCircle &circle) {
-    bool finite = true;
+// Terms sorted by hue, then by strength; false where one is NaN or infinite.
+bool sort_terms(const double *p, const double *strengths, const HueCircle &circle) {
+    bool finite = true, strong = false;
+    for (int k = 0; strengths && k < circle.n; ++k) strong |= strengths[k] != 0;
     for (int k = 0; k < circle.n; ++k) {
         const double x = p[2 * int64_t(k)], y = p[2 * int64_t(k) + 1], angle = angle_of(magnitude(y), x);
-        circle.terms[k] = {y < 0 ? -angle : angle, __builtin_sqrt(x * x + y * y), k};
-        finite &= circle.terms[k].m - circle.terms[k].m == 0;
+        const double length = __builtin_sqrt(x * x + y * y);
+        circle.terms[k] = {y < 0 ? -angle : angle, strong ? strengths[k] : length, k};
+        finite &= circle.terms[k].m - circle.terms[k].m == 0 && length - length == 0;
     }
     if (!finite) return false;
     std::sort(circle.terms, circle.terms + circle.n, [](const Term &a, const Term &b) {
@@ -134,7 +136,8 @@ void find_holds(const HueCircle &circle) {
 
 // What share of a term a rival cancels that has `strength` against `support`.
 double cancelled(const Rules &rules, double strength, double support) {
-    const double q = support > 0 ? smaller(strength / support, 1.0) : 0.0;
+    const double unbacked = strength > 0 ? 1.0 : 0.0;
+    const double q = support > 0 ? smaller(strength / support, 1.0) : unbacked;
     return rules.gray_power > 0 ? q * double(bias(rules, float(q))) : q;
 }
 
@@ -218,9 +221,10 @@ double cancelled_near(const Rules &rules, const HueCircle &circle, const Backing
 
 }  // namespace
 
-void keep_of_many(const Rules &rules, const double *p, int n, double *scratch, double *kept) {
+void keep_of_many(const Rules &rules, const double *p, const double *strengths, int n, double *scratch,
+                  double *kept) {
     const HueCircle circle(rules, n, scratch);
-    if (!sort_terms(p, circle)) return;
+    if (!sort_terms(p, strengths, circle)) return;
     put_around_circle(circle);
     find_supports(rules, circle);
     find_holds(circle);

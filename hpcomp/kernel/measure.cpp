@@ -257,7 +257,7 @@ void reduce(const Block &block, float *scratch, float *p0, float *p1) {
     float *p = scratch;
     std::memcpy(p, block.p, size_t(count) * 2 * sizeof(Plane));
     float *kept = p + int64_t(count) * 2 * kBlock, *of_left = kept + int64_t(count) * kBlock;
-    reduce_terms(block.rules, p, count, block.n, kept, of_left, of_left + int64_t(count) * kBlock);
+    reduce_terms(block.rules, p, nullptr, count, block.n, kept, of_left, of_left + int64_t(count) * kBlock);
     std::memcpy(p0, p, sizeof(Plane));
     std::memcpy(p1, p + kBlock, sizeof(Plane));
     if (block.actives && block.active[block.actives - 1] == count)

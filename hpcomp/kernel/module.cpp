@@ -166,32 +166,73 @@ SpaceMaps make_cielab(float weight_red, float weight_blue, const Pairs<2> &to_xz
     return with_slack(made, slack_lo, slack_hi);
 }
 
-// A colour that lies below the stack, and what bounds its channels.
+// A colour that lies below the stack, what bounds its channels, and how strong it is.
 struct Background {
-    float luminance, p[2], rgb[3], bounds[2];
+    float luminance, p[2], rgb[3], bounds[2], strength;
 };
 
 Background make_background(float luminance, std::array<float, 2> p, std::array<float, 3> rgb, float lo,
-                           float hi) {
-    return {luminance, {p[0], p[1]}, {rgb[0], rgb[1], rgb[2]}, {lo, hi}};
+                           float hi, float strength) {
+    return {luminance, {p[0], p[1]}, {rgb[0], rgb[1], rgb[2]}, {lo, hi}, strength};
 }
 
-// Rules with the permutation that they point to.
+// How strong colours are, but for their chroma.
+struct Competition {
+    Strength strength;
+    OklabNumbers perception;
+    float half_chroma;
+};
+
+Competition make_competition(Strength strength, const SpaceMaps &oklab, float half_chroma) {
+    if (oklab.maps != Maps::kOklab) throw nb::value_error("strengths are measured in Oklab");
+    if (!(half_chroma > 0)) throw nb::value_error("the chroma of half the strength must be positive");
+    return {strength, oklab.oklab, half_chroma};
+}
+
+// A pattern with the tile that it points to: a copy, as nobody is to change it.
+struct WeaveTile {
+    Weave weave{};
+    std::vector<uint16_t> tile;
+};
+
+using Tile = nb::ndarray<const uint16_t, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
+
+WeaveTile make_weave(Pattern pattern, int size, const std::optional<Tile> &tile) {
+    WeaveTile made;
+    if (size < 1 || size > (1 << 20)) throw nb::value_error("the size of a weave is out of range");
+    if ((pattern == Pattern::kNoise) != tile.has_value()) throw nb::value_error("noise needs a tile, stripes none");
+    made.weave = {pattern, size, nullptr, 0};
+    if (!tile) return made;
+    const size_t side = tile->shape(0);
+    if (side < 1 || side > 256 || tile->shape(1) != side) throw nb::value_error("a tile is a square");
+    check_aligned(tile->data(), sizeof(uint16_t));
+    made.tile.assign(tile->data(), tile->data() + side * side);
+    for (const uint16_t number : made.tile)
+        if (number >= side * side) throw nb::value_error("a number out of range");
+    made.weave.side = int(side);
+    return made;
+}
+
+// Rules with the permutation and the tile that they point to.
 struct StackRules {
     Rules rules{};
     std::vector<int> permutation;
+    std::vector<uint16_t> tile;
 };
 
 std::shared_ptr<StackRules> make_rules(Blending blending, float hue_tolerance, float rounding_angle,
                                        float gray_bias, Order order, std::vector<int> permutation,
                                        int layers, const Background *background, float gain,
-                                       const SpaceMaps &space) {
+                                       const SpaceMaps &space, const Competition *competition,
+                                       const WeaveTile *weave) {
     auto made = std::make_shared<StackRules>();
     Rules &rules = made->rules;
     if (layers < 1 || layers > (1 << 20)) throw nb::value_error("a stack needs layers");
     // The folds of other orders do not know who is in front.
     if (blending == Blending::kForemost && order != Order::kBottomUp)
         throw nb::value_error("the foremost is found from the bottom up");
+    if ((blending == Blending::kWoven) != (order == Order::kWoven) || (weave != nullptr) != (order == Order::kWoven))
+        throw nb::value_error("woven terms have an order of their own, and a weave");
     if (!(gray_bias >= 0 && gray_bias <= 1)) throw nb::value_error("gray bias must be from 0 to 1");
     if (order == Order::kPermutation) {
         std::vector<bool> seen(size_t(layers), false);
@@ -205,6 +246,15 @@ std::shared_ptr<StackRules> make_rules(Blending blending, float hue_tolerance, f
     made->permutation = std::move(permutation);
     static_cast<SpaceMaps &>(rules) = space;
     rules.blending = blending;
+    rules.bounded = space.maps != Maps::kLinear || blending == Blending::kWoven;
+    rules.strength = competition ? competition->strength : Strength::kChroma;
+    if (competition) rules.perception = competition->perception, rules.half_chroma = competition->half_chroma;
+    if (weave) {
+        made->tile = weave->tile;
+        rules.weave = weave->weave;
+        rules.weave.tile = made->tile.data();
+    }
+    rules.rounding_angle = rounding_angle;
     rules.gray_power = 3 * gray_bias;
     // No tolerance is below what float rounding turns a vector by, and without one the switch is hard.
     rules.tolerance = std::max(hue_tolerance, rounding_angle);
@@ -221,6 +271,7 @@ std::shared_ptr<StackRules> make_rules(Blending blending, float hue_tolerance, f
         std::copy(std::begin(background->p), std::end(background->p), rules.background_p);
         std::copy(std::begin(background->rgb), std::end(background->rgb), rules.background_rgb);
         std::copy(std::begin(background->bounds), std::end(background->bounds), rules.background_bounds);
+        rules.background_strength = background->strength;
     }
     rules.gain = gain;
     return made;
@@ -416,10 +467,12 @@ template <Result kWhich> ResultFound found_of(const StripMeasures &of) {
 
 class Accumulator {
   public:
-    Accumulator(std::shared_ptr<StackRules> rules, int64_t width, int64_t height,
+    // `left`, `top`: of its first pixel, from the corner of the canvas.
+    Accumulator(std::shared_ptr<StackRules> rules, int64_t width, int64_t height, int64_t left, int64_t top,
                 const std::string &level)
         : rules_(std::move(rules)), level_(level_of(level)), engine_(level_.engine),
           width_(checked_coordinate(width)), height_(checked_coordinate(height)) {
+        state_.left = checked_coordinate(left), state_.top = checked_coordinate(top);
         if (width < 1 || height < 1) throw nb::value_error("a strip needs pixels");
     }
 
@@ -508,7 +561,8 @@ class Accumulator {
         if (finished_) throw nb::value_error("the result has been taken");
         if (measures == nullptr) return;
         if (!waits_) throw nb::value_error("layers are measured when all come at once");
-        if (rules_->rules.maps != Maps::kLinear) throw nb::value_error("linear spaces alone are measured");
+        if (rules_->rules.bounded || rules_->rules.strength != Strength::kChroma)
+            throw nb::value_error("linear spaces and the chroma in them alone are measured");
         if (measures->layers != come_ || measures->width != width_ || measures->height != height_)
             throw nb::value_error("measures of another strip");
     }
@@ -522,17 +576,18 @@ class Accumulator {
     void begin_planes(int64_t rows) {
         const int64_t pixels = rows * width_;
         const bool front = rules_->rules.order == Order::kFrontToBack;
-        const bool bounded = rules_->rules.maps != Maps::kLinear;
-        const int count = 7 + (front ? 1 : 0) + (bounded ? 2 : 0);
+        const bool bounded = rules_->rules.bounded, strong = rules_->rules.strength != Strength::kChroma;
+        const int count = 7 + (front ? 1 : 0) + (bounded ? 2 : 0) + (strong ? 1 : 0);
         if (planes_.empty()) planes_.resize(size_t(pixels) * size_t(count));
         float *const first = planes_.data(), *const last = first + count * pixels, *plane = first;
         const auto next = [&plane, pixels] { return (plane += pixels) - pixels; };
         // Braces take them in this order.
-        state_.light = Light{next(), next(), next(), next(), next(), next()};
+        state_.light = Light{next(), next(), next(), next(), next(), next(), nullptr};
         state_.alpha = next();
         state_.transmittance = front ? next() : nullptr;
         state_.lo = bounded ? next() : nullptr;
         state_.hi = bounded ? next() : nullptr;
+        state_.light.strength = strong ? next() : nullptr;
         if (!front) return;
         std::fill(first, last, 0.0f);
         std::fill(state_.transmittance, state_.transmittance + pixels, 1.0f);
@@ -574,6 +629,7 @@ class Accumulator {
                 engine_->finish(rules, int64_t(rows) * width_, state_, part, losses);
             }
             for (Layer &layer : layers) layer.top -= rows;
+            state_.top += rows;
         }
     }
 
@@ -590,19 +646,24 @@ class Accumulator {
 };
 
 using Counts = nb::ndarray<const int64_t, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
-using ChromaPlanes = nb::ndarray<const double, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
+using Vectors = nb::ndarray<const double, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
+using Strengths = nb::ndarray<const double, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
 using Kept = nb::ndarray<double, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
 
 // What is kept of the chroma vectors p (2, all of the runs) of each run, added at once: factors `kept`.
-void keep_runs(std::shared_ptr<StackRules> rules, Counts counts, ChromaPlanes p, Kept kept) {
+void keep_runs(std::shared_ptr<StackRules> rules, Counts counts, Vectors p, std::optional<Strengths> strengths,
+               Kept kept) {
     const int64_t runs = int64_t(counts.shape(0)), in_all = int64_t(p.shape(1));
     if (p.shape(0) != 2) throw nb::value_error("p must be two planes");
     if (int64_t(kept.shape(0)) != in_all) throw nb::value_error("a factor for each vector is needed");
     check_aligned(counts.data(), sizeof(int64_t));
     check_aligned(p.data(), sizeof(double));
     check_aligned(kept.data(), sizeof(double));
-    if (rules->rules.blending == Blending::kForemost)
-        throw nb::value_error("none of what is added at once is in front");
+    if (strengths && int64_t(strengths->shape(0)) != in_all)
+        throw nb::value_error("a strength for each vector is needed");
+    if (strengths) check_aligned(strengths->data(), sizeof(double));
+    if (rules->rules.blending == Blending::kForemost || rules->rules.blending == Blending::kWoven)
+        throw nb::value_error("none of what is added at once is in front, or anywhere");
     int64_t left = in_all, longest = 0;
     for (int64_t run = 0; run < runs; ++run) {
         const int64_t count = counts.data()[run];
@@ -616,21 +677,25 @@ void keep_runs(std::shared_ptr<StackRules> rules, Counts counts, ChromaPlanes p,
     if (rules->rules.blending == Blending::kTraditional) return;
     const double *x = p.data(), *y = x + in_all;
     double *factors = kept.data();
-    std::vector<double> scratch(size_t(3 * longest + sorting_doubles(longest)));
-    double *terms = scratch.data(), *of_terms = terms + 2 * longest, *sorting = of_terms + longest;
+    const double *m = strengths ? strengths->data() : nullptr;
+    std::vector<double> scratch(size_t(run_doubles(longest)));
+    double *terms = scratch.data(), *of_terms = terms + 2 * longest, *strong = of_terms + longest;
+    double *sorting = strong + longest;
     for (int64_t run = 0; run < runs; ++run) {
         const int64_t count = counts.data()[run];
         int n = 0;
         for (int64_t k = 0; k < count; ++k) {
             if (x[k] == 0 && y[k] == 0) continue;
             terms[2 * int64_t(n)] = x[k], terms[2 * int64_t(n) + 1] = y[k];
+            if (m) strong[n] = m[k];
             of_terms[n++] = 1;
         }
-        if (n > 0) keep_of_many(rules->rules, terms, n, sorting, of_terms);
+        if (n > 0) keep_of_many(rules->rules, terms, m ? strong : nullptr, n, sorting, of_terms);
         n = 0;
         for (int64_t k = 0; k < count; ++k)
             if (!(x[k] == 0 && y[k] == 0)) factors[k] = of_terms[n++];
         x += count, y += count, factors += count;
+        if (m) m += count;
     }
 }
 
@@ -638,7 +703,7 @@ void keep_runs(std::shared_ptr<StackRules> rules, Counts counts, ChromaPlanes p,
 void measure(std::shared_ptr<StackRules> rules, const std::vector<StripLayer *> &strips,
              StripMeasures &measures, const std::string &level) {
     const int layers = int(strips.size());
-    Accumulator strip(rules, measures.width, measures.height, level);
+    Accumulator strip(rules, measures.width, measures.height, 0, 0, level);
     std::vector<int> numbers(strips.size());
     const bool from_front = rules->rules.order == Order::kFrontToBack;
     for (int i = 0; i < layers; ++i) numbers[size_t(i)] = from_front ? layers - 1 - i : i;
@@ -655,13 +720,21 @@ NB_MODULE(_kernel, module) {
     nb::enum_<Blending>(module, "Blending")
         .value("HUE_PRESERVING", Blending::kHuePreserving)
         .value("TRADITIONAL", Blending::kTraditional)
-        .value("FOREMOST", Blending::kForemost);
+        .value("FOREMOST", Blending::kForemost)
+        .value("WOVEN", Blending::kWoven);
+    nb::enum_<Strength>(module, "Strength")
+        .value("PERCEIVED", Strength::kPerceived)
+        .value("COVERAGE", Strength::kCoverage);
+    nb::enum_<Pattern>(module, "Pattern")
+        .value("STRIPES", Pattern::kStripes)
+        .value("NOISE", Pattern::kNoise);
     nb::enum_<Order>(module, "Order")
         .value("BOTTOM_UP", Order::kBottomUp)
         .value("FRONT_TO_BACK", Order::kFrontToBack)
         .value("PERMUTATION", Order::kPermutation)
         .value("BALANCED", Order::kBalanced)
-        .value("SIMULTANEOUS", Order::kSimultaneous);
+        .value("SIMULTANEOUS", Order::kSimultaneous)
+        .value("WOVEN", Order::kWoven);
     nb::enum_<Factor>(module, "Factor")
         .value("ZERO", Factor::kZero)
         .value("ONE", Factor::kOne)
@@ -678,7 +751,7 @@ NB_MODULE(_kernel, module) {
         return int64_t(sizeof(float)) * scratch_floats(order, layers);
     }, nb::kw_only(), "order"_a.noconvert(), "layers"_a);
     module.def("run_bytes", [](int64_t terms) {
-        return int64_t(sizeof(double)) * (3 * terms + sorting_doubles(terms));
+        return int64_t(sizeof(double)) * run_doubles(terms);
     }, nb::kw_only(), "terms"_a);
 
     nb::class_<StripLayer>(module, "Layer");
@@ -697,11 +770,17 @@ NB_MODULE(_kernel, module) {
                "from_xz"_a, "inverse_largest"_a, "slack_lo"_a, "slack_hi"_a);
     nb::class_<Background>(module, "Background");
     module.def("background", &make_background, nb::kw_only(), "luminance"_a, "p"_a, "rgb"_a, "lo"_a,
-               "hi"_a);
+               "hi"_a, "strength"_a);
+    nb::class_<Competition>(module, "Competition");
+    module.def("competition", &make_competition, nb::kw_only(), "strength"_a.noconvert(), "oklab"_a,
+               "half_chroma"_a);
+    nb::class_<WeaveTile>(module, "Weave");
+    module.def("weave", &make_weave, nb::kw_only(), "pattern"_a.noconvert(), "size"_a,
+               "tile"_a.none().noconvert());
     nb::class_<StackRules>(module, "Rules");
     module.def("rules", &make_rules, nb::kw_only(), "blending"_a.noconvert(), "hue_tolerance"_a,
                "rounding_angle"_a, "gray_bias"_a, "order"_a.noconvert(), "permutation"_a, "layers"_a,
-               "background"_a.none(), "gain"_a, "space"_a);
+               "background"_a.none(), "gain"_a, "space"_a, "competition"_a.none(), "weave"_a.none());
 
     nb::class_<CodeTables>(module, "Codes");
     module.def("codes", &make_codes, nb::kw_only(), "thresholds"_a.noconvert(), "first_code"_a.noconvert(),
@@ -713,8 +792,8 @@ NB_MODULE(_kernel, module) {
         .def_ro("not_a_number", &Losses::not_a_number)
         .def_ro("beyond_half", &Losses::beyond_half);
     nb::class_<Accumulator>(module, "Accumulator")
-        .def(nb::init<std::shared_ptr<StackRules>, int64_t, int64_t, const std::string &>(), nb::kw_only(),
-             "rules"_a, "width"_a, "height"_a, "level"_a = "")
+        .def(nb::init<std::shared_ptr<StackRules>, int64_t, int64_t, int64_t, int64_t, const std::string &>(),
+             nb::kw_only(), "rules"_a, "width"_a, "height"_a, "left"_a, "top"_a, "level"_a = "")
         .def("add", &Accumulator::add, nb::kw_only(), "numbers"_a, "layers"_a)
         .def("result", &Accumulator::result, nb::kw_only(), "out"_a.noconvert(), "codes"_a.none(),
              "measures"_a.none() = nb::none());
@@ -761,7 +840,7 @@ NB_MODULE(_kernel, module) {
                "top"_a, "bins"_a, "half_step"_a, "achromatic"_a, "foreign_sine"_a, "foreign_cosine"_a,
                "depends_on_order"_a, "provenance"_a.none());
     module.def("keep_runs", &keep_runs, nb::kw_only(), "rules"_a, "counts"_a.noconvert(), "p"_a.noconvert(),
-               "kept"_a.noconvert());
+               "strengths"_a.none().noconvert(), "kept"_a.noconvert());
     module.def("measure", &measure, nb::kw_only(), "rules"_a, "layers"_a, "measures"_a, "level"_a = "");
     bind_packing(module);
 }

@@ -54,23 +54,39 @@ HPCOMP_INLINE void to_hsl(const SpaceMaps &space, int n, const float *red, const
     }
 }
 
+struct Lab {
+    float lightness, a, b, chroma;
+};
+HPCOMP_INLINE Lab oklab_of(const OklabNumbers &numbers, float red, float green, float blue) {
+    const float red_green = red - green, blue_green = blue - green;
+    const float middle = cube_root(sum_of(green, numbers.to_lms[1], red_green, blue_green));
+    const float lng = cube_root(sum_of(green, numbers.to_lms[0], red_green, blue_green)) - middle;
+    const float shrt = cube_root(sum_of(green, numbers.to_lms[2], red_green, blue_green)) - middle;
+    const float lightness = sum_of(middle, numbers.to_lab[0], lng, shrt);
+    const float a = numbers.to_lab[1][0] * lng + numbers.to_lab[1][1] * shrt;
+    const float b = numbers.to_lab[2][0] * lng + numbers.to_lab[2][1] * shrt;
+    return {lightness, a, b, __builtin_sqrtf(a * a + b * b)};
+}
+
+// Oklab's chroma of premultiplied colours: of degree 1/3.
+HPCOMP_INLINE void oklab_chroma(const OklabNumbers &numbers, int n, const float *red, const float *green,
+                                const float *blue, float *chroma) {
+    for (int i = 0; i < n; ++i) chroma[i] = oklab_of(numbers, red[i], green[i], blue[i]).chroma;
+}
+
+// Also gives Oklab's chroma, where `kChroma` says so.
+template <bool kChroma>
 HPCOMP_INLINE void to_oklab(const SpaceMaps &space, int n, const float *red, const float *green,
-                            const float *blue, const float *luminance, float *p0, float *p1) {
-    const OklabNumbers &numbers = space.oklab;
+                            const float *blue, const float *luminance, float *p0, float *p1, float *chroma) {
     for (int i = 0; i < n; ++i) {
-        const float red_green = red[i] - green[i], blue_green = blue[i] - green[i];
-        const float middle = cube_root(sum_of(green[i], numbers.to_lms[1], red_green, blue_green));
-        const float lng = cube_root(sum_of(green[i], numbers.to_lms[0], red_green, blue_green)) - middle;
-        const float shrt = cube_root(sum_of(green[i], numbers.to_lms[2], red_green, blue_green)) - middle;
-        const float lightness = sum_of(middle, numbers.to_lab[0], lng, shrt);
-        const float a = numbers.to_lab[1][0] * lng + numbers.to_lab[1][1] * shrt;
-        const float b = numbers.to_lab[2][0] * lng + numbers.to_lab[2][1] * shrt;
+        const Lab lab = oklab_of(space.oklab, red[i], green[i], blue[i]);
         // As L vanishes, p/Y grows to its bound and stays there: the direction is (a, b) throughout.
-        const float whole = larger(lightness, __builtin_sqrtf(a * a + b * b) * numbers.inverse_largest);
+        const float whole = larger(lab.lightness, lab.chroma * space.oklab.inverse_largest);
         const float share = luminance[i] / whole;
         const bool there = luminance[i] > 0 && whole > 0;
-        p0[i] = there ? a * share : 0.0f;
-        p1[i] = there ? b * share : 0.0f;
+        p0[i] = there ? lab.a * share : 0.0f;
+        p1[i] = there ? lab.b * share : 0.0f;
+        if (kChroma) chroma[i] = lab.chroma;
     }
 }
 
@@ -107,7 +123,7 @@ HPCOMP_INLINE void to_p(const SpaceMaps &space, int n, const float *red, const f
                         const float *blue, const float *luminance, float *p0, float *p1) {
     switch (space.maps) {
     case Maps::kHsl: to_hsl(space, n, red, green, blue, p0, p1); break;
-    case Maps::kOklab: to_oklab(space, n, red, green, blue, luminance, p0, p1); break;
+    case Maps::kOklab: to_oklab<false>(space, n, red, green, blue, luminance, p0, p1, nullptr); break;
     case Maps::kCielab: to_cielab(space, n, red, green, blue, luminance, p0, p1); break;
     case Maps::kLinear: break;
     }

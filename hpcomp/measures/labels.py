@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
-from functools import reduce
+from functools import partial, reduce
 from typing import Any, Self
 
 import numpy as np
@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 
 from ..blending.addition import ROUNDING_ANGLE
 from ..blending.orders import ORDERS
-from ..blending.rules import StackRules
-from ..blending.terms import weighted
-from ..color.gamut import bounds_of, colors_within
+from ..blending.rules import Chroma, StackRules, stacked
+from ..blending.terms import background_term, weighted
+from ..color.gamut import colors_within
 from ..color.planes import cross_and_dot, is_saturated, length, ratio, spread_and_size
 from ..errors import SettingError
 from ..geometry import Window
@@ -247,7 +247,8 @@ class StackMeasures(Sums):
     def none(rules: StackRules, settings: MeasureSettings) -> StackMeasures:
         """The measures of no pixel, to add others to."""
         nothing = ResultMeasures((ContributorMeasures(),) * len(rules.operators))
-        return StackMeasures(settings, nothing, nothing)
+        unwoven = None if unwoven_of(rules) is None else nothing
+        return StackMeasures(settings, nothing, nothing, hue_preserving=unwoven)
 
     @property
     def results(self) -> dict[str, ResultMeasures]:
@@ -284,6 +285,11 @@ class Provenance:
         )
 
 
+def unwoven_of(rules: StackRules) -> StackRules | None:
+    """The hue-preserving rules that a woven stack is compared with; None of any other stack."""
+    return rules.blended("hue-preserving") if rules.blending.depends_on_place else None
+
+
 # --- pixels ---------------------------------------------------------------------------------------
 
 
@@ -303,7 +309,7 @@ def measures_of(
     total = StackMeasures.none(rules, settings)
     for place, block in blocks_of(layers, origin):
         with np.errstate(all="ignore"):  # what is not finite is left out below
-            pixels = contributors(rules, block)
+            pixels = contributors(rules, block, place)
         cells = cells_of(place)[pixels.known]
         measures, winners = _block_measures(rules, settings, pixels, cells)
         total += measures
@@ -336,7 +342,9 @@ class Contributors:
     `known` (all pixels) says which those are; `size` is |t|, (terms, pixels). The background is
     among them where the stack has one: `n_layers` counts those before it. `alpha` (all pixels): of
     the stack over its background. In a space that is not linear also their colours, `rgb`
-    (terms, 3, pixels), and the sum of their `gamut.bounds_of`.
+    (terms, 3, pixels). `bounds`: the sum of their `gamut.bounds_of`, where results are bounded.
+    `strength`: m (terms, pixels), None where it is |p|. `phase` (pixels): of the weave, where the
+    blending depends on it.
     """
 
     n_layers: int
@@ -347,6 +355,12 @@ class Contributors:
     alpha: Array
     rgb: Array | None = None
     bounds: Array | None = None
+    strength: Array | None = None
+    phase: Array | None = None
+
+    def chroma(self, number: int) -> Chroma:
+        """That of one of the terms."""
+        return Chroma(self.p[number], None if self.strength is None else self.strength[number])
 
     def total(self) -> Array:
         """Σ|t|, (pixels)."""
@@ -357,14 +371,19 @@ class Contributors:
         if rules.blending_space is not rules.space:
             return self.plain(rules)
         row = rules.adding_order if order is None else ORDERS[order]
-        p = row.reduce(self.p[: self.n_layers], rules.add, rules.add_all)
-        if self.n_layers < len(self.p):
-            p = rules.add(p, self.p[-1])
-        if self.bounds is None or self.rgb is None:
-            return p
+        at_once = rules.blending.depends_on_place  # then the background is among them
+        terms = [self.chroma(number) for number in range(len(self.p))]
+        first = len(terms) if at_once else self.n_layers
+        sum_all = partial(rules.add_all, phase=self.phase)
+        stack: Chroma = row.reduce(terms[:first], rules.add, sum_all)
+        for below in terms[first:]:
+            stack = rules.add(stack, below)
+        if self.bounds is None or not len(self.bounds):
+            return stack.p
         # What came of it, back in gamut.
-        luminance, plain = summed(self.luminance), summed(self.rgb)
-        rgb = colors_within(rules.space, luminance, p, plain, self.bounds)
+        luminance = summed(self.luminance)
+        plain = rules.space.inverse(luminance, stack.p) if self.rgb is None else summed(self.rgb)
+        rgb = colors_within(rules.space, luminance, stack.p, plain, self.bounds)
         return rules.space.forward(rgb)[1]
 
     def plain(self, rules: StackRules) -> Array:
@@ -374,34 +393,38 @@ class Contributors:
         return rules.space.forward(summed(self.rgb))[1]
 
 
-def contributors(rules: StackRules, layers: Sequence[Array]) -> Contributors:
-    """The contributors to pixels of a stack; `layers`: (layers, pixels, 4) as in `measures_of`."""
-    terms = weighted(rules, rules.space, layers)
-    luminance, p, alpha = terms.luminance, terms.p, terms.alpha
-    rgb, limits = None, terms.bounds
-    if not rules.space.linear:
-        rgb = terms.rgb
+def contributors(
+    rules: StackRules, layers: Sequence[Array], window: Window | None = None
+) -> Contributors:
+    """The contributors to pixels of a stack; `layers`: (layers, pixels, 4) as in `measures_of`.
+
+    `window`: those pixels on the canvas, where the blending depends on their place.
+    """
+    stack = weighted(rules, layers, rules.space)
+    terms, alpha = list(stack.terms), stack.alpha
     if rules.background is not None:
-        color = np.array(rules.background, p.dtype)[:, None]
-        luminance_below, p_below = rules.space.forward(color)
-        uncovered = 1 - terms.alpha
-        luminance = np.concatenate([luminance, (uncovered * luminance_below)[None]])
-        p = np.concatenate([p, (uncovered * p_below)[None]])
-        if rgb is not None:
-            rgb = np.concatenate([rgb, (uncovered * color)[None]])
-        limits = limits + uncovered * bounds_of(rules.space, color, 1.0)
+        terms.append(background_term(rules, alpha, rules.space))
         alpha = np.ones_like(alpha)
+    luminance, p = (np.stack([vars(term)[name] for term in terms]) for name in ("luminance", "p"))
+    rgb = None if rules.space.linear else np.stack([term.rgb for term in terms])
+    limits = summed(np.stack([term.bounds for term in terms]))
+    strength = stacked([term.chroma for term in terms]).strength
+    phase = None
+    if rules.blending.depends_on_place and window is not None:
+        phase = rules.weave.phases_in(window)
     known = np.logical_and(
         (np.abs(luminance) < LARGEST_MEASURED).all(axis=0),
         (np.abs(p) < LARGEST_MEASURED).all(axis=(0, 1)),
     )
     if not known.all():
-        luminance, p = luminance[:, known], p[:, :, known]
-        limits = limits[:, known]
-        if rgb is not None:
-            rgb = rgb[:, :, known]
+        luminance, p, limits = luminance[:, known], p[:, :, known], limits[:, known]
+        rgb = None if rgb is None else rgb[:, :, known]
+        strength = None if strength is None else strength[:, known]
+        phase = None if phase is None else phase[known]
     size = length(p.swapaxes(0, 1))
-    return Contributors(len(terms.p), luminance, p, size, known, alpha, rgb, limits)
+    return Contributors(
+        len(stack.terms), luminance, p, size, known, alpha, rgb, limits, strength, phase
+    )
 
 
 def summed(values: Array) -> Array:
@@ -468,13 +491,15 @@ class Support:
 def _block_measures(
     rules: StackRules, settings: MeasureSettings, pixels: Contributors, cells: Cells
 ) -> tuple[StackMeasures, Provenance]:
-    p = pixels.reduced(rules)
-    support = Support.of(p, pixels, settings)
-    result, chromatic = _result_measures(rules, settings, pixels, cells, p, support)
-    p_plain = pixels.plain(rules)
-    traditional, _ = _result_measures(
-        rules, settings, pixels, cells, p_plain, Support.of(p_plain, pixels, settings)
-    )
+    def measured(p: Array) -> tuple[Support, ResultMeasures, Mask]:
+        support = Support.of(p, pixels, settings)
+        return support, *_result_measures(rules, settings, pixels, cells, p, support)
+
+    support, result, chromatic = measured(pixels.reduced(rules))
+    _, traditional, _ = measured(pixels.plain(rules))
+    hue_preserving = None
+    if (unwoven := unwoven_of(rules)) is not None:
+        _, hue_preserving, _ = measured(pixels.reduced(unwoven))
     sensitive = 0
     if rules.blending.depends_on_order:
         upward, downward = (
@@ -493,6 +518,7 @@ def _block_measures(
         pixels=pixels.known.size,
         unmeasured=count(~pixels.known),
         order_sensitive=sensitive,
+        hue_preserving=hue_preserving,
     )
     return measures, _provenance(settings, pixels, support)
 

@@ -15,7 +15,7 @@ from itertools import product
 
 import numpy as np
 
-from ..blending.addition import BLENDINGS
+from ..blending.blendings import BLENDINGS
 from ..blending.rules import StackRules
 from ..color.planes import cross_and_dot, length
 from ..color.spaces import Space

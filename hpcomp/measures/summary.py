@@ -7,7 +7,7 @@ Found in numpy here, of pixels that are decoded and placed; which engine finds t
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from ..blending.rules import StackRules
 from ..color.samples import Strip
+from ..geometry import Window
 from .defaults import DEFAULT_BINS
 from .histogram import HueHistogram, hue_histogram
 from .labels import (
@@ -27,6 +28,7 @@ from .labels import (
     measures_of,
     results_of,
     summed,
+    unwoven_of,
 )
 
 Array = NDArray[np.float32]
@@ -56,9 +58,9 @@ class StackSummary(Sums):
     def none(rules: StackRules, settings: MeasureSettings, bins: int) -> StackSummary:
         """The summary of no pixel, to add others to."""
         empty = HueHistogram.empty(bins, rules.space.name, settings.achromatic)
-        return StackSummary(
-            StackMeasures.none(rules, settings), (empty,) * len(rules.operators), empty, empty
-        )
+        unwoven = None if unwoven_of(rules) is None else empty
+        of_layers = (empty,) * len(rules.operators)
+        return StackSummary(StackMeasures.none(rules, settings), of_layers, empty, empty, unwoven)
 
 
 def summary_of(
@@ -71,10 +73,10 @@ def summary_of(
     """The summary of some rows of a picture, and their provenance; arguments as `measures_of`."""
     measures, provenance = measures_of(rules, settings, layers, origin)
     total = StackSummary.none(rules, settings, bins)
-    for _, block in blocks_of(layers, origin):
+    for place, block in blocks_of(layers, origin):
         with np.errstate(all="ignore"):  # NaN and Inf are counted, not judged
-            total += _histograms(rules, settings, block, bins)
-    return StackSummary(measures, total.layers, total.result, total.traditional), provenance
+            total += _histograms(rules, settings, block, bins, place)
+    return replace(total, measures=measures), provenance
 
 
 @dataclass(frozen=True)
@@ -96,16 +98,23 @@ class StripToMeasure:
 
 
 def _histograms(
-    rules: StackRules, settings: MeasureSettings, layers: Sequence[Array], bins: int
+    rules: StackRules,
+    settings: MeasureSettings,
+    layers: Sequence[Array],
+    bins: int,
+    place: Window,
 ) -> StackSummary:
     def counted(rgba: Any) -> HueHistogram:
         return hue_histogram(rgba, bins=bins, space=rules.space, achromatic=settings.achromatic)
 
-    pixels = contributors(rules, layers)
+    pixels = contributors(rules, layers, place)
     opacities = np.array(rules.opacities, np.float32)
     alpha = pixels.alpha[pixels.known]
+    ways = [pixels.reduced(rules), pixels.plain(rules)]
+    if (unwoven := unwoven_of(rules)) is not None:
+        ways.append(pixels.reduced(unwoven))
     results = []
-    for p in (pixels.reduced(rules), pixels.plain(rules)):
+    for p in ways:
         # What cannot be measured is still a pixel of the picture.
         rgba = np.full((len(pixels.known), 4), np.nan, np.float32)
         rgb = rules.space.inverse(summed(pixels.luminance), p)

@@ -51,7 +51,7 @@ def stack_budget(
     if in_numpy or not all(reader.is_plain for reader in readers):
         at_once = len(readers) if all_at_once else LAYERS_AT_ONCE
         decoded = min(at_once, len(readers)) * RGBA_BYTES + DECODING_BYTES
-    planes = PLANES_BYTES + (0 if rules.blending_space.linear else BOUNDS_BYTES)
+    planes = PLANES_BYTES + (BOUNDS_BYTES if rules.bounded else 0)
     widest_row = max(reader.bytes_per_row for reader in readers)
     return Budget(
         per_row=held

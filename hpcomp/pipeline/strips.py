@@ -57,7 +57,8 @@ def composite_strips(plan: StackPlan, writer: ImageWriter, observer: Observer) -
     with ThreadPipeline[Strip](plan.threads) as pipeline:
         arriving = pipeline.read_ahead(reads)
         for rows in plan.strips():
-            accumulator = engine.start(rules, rows.width, rows.height)
+            origin = rows.x - plan.canvas.x, rows.y - plan.canvas.y
+            accumulator = engine.start(rules, rows.width, rows.height, origin=origin)
             for group in groups:
                 arrived = [next(arriving) for _ in group]
                 pipeline.composite(partial(accumulator.add, group, arrived))

@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..blending.addition import BLENDINGS
 from ..blending.rules import StackRules
 from ..color.primaries import REC709
 from ..color.quantization import Losses
@@ -37,14 +36,12 @@ from ..system.outputs import whole_output, write_bytes
 from ..version import __version__
 from .hueformats import report_format
 from .stackreport import (
-    TRADITIONAL,
     Preview,
     StackReport,
     load_stack_renderer,
     needs_preview,
     preview_scale,
     render_stack_report,
-    result_name,
 )
 
 #: The planes of a provenance file, in the order of the file.
@@ -70,10 +67,13 @@ class SeenStrip:
     pictures: list[Rgba] | None
 
 
+#: The blendings of which a page always shows a picture.
+COMPARED = ("traditional", "hue-preserving", "woven")
+
+
 def compared(rules: StackRules) -> dict[str, StackRules]:
-    """The pictures that a page compares, by name: by plain +, and the stack's own, last."""
-    plain = replace(rules, blending=BLENDINGS[TRADITIONAL])
-    return {TRADITIONAL: plain, result_name(rules.blending.name): rules}
+    """The pictures that a page compares, by the names of their blendings."""
+    return {name: rules.blended(name) for name in dict.fromkeys((*COMPARED, rules.blending.name))}
 
 
 class Recorder:
@@ -171,6 +171,7 @@ class Recorder:
 
         `strips`: of all layers, bottom first.
         """
+        origin = rows.x - self._canvas.x, rows.y - self._canvas.y
         strip = StripToMeasure(
             self._rules,
             self._settings,
@@ -179,15 +180,17 @@ class Recorder:
             rows.width,
             rows.height,
             with_provenance=self._provenance is not None or self._preview is not None,
-            origin=(rows.x - self._canvas.x, rows.y - self._canvas.y),
+            origin=origin,
         )
         samples, summary, provenance = engine.result_and_summary(
             accumulator, form.kind, losses, form.gamut, strip
         )
         pictures = None
         if self._preview is not None:
+            scale = self._preview.scale
             pictures = [
-                _composited(shown, strips, rows) for shown in compared(self._rules).values()
+                _composited(_at_scale(shown, scale), strips, rows, origin)
+                for shown in compared(self._rules).values()
             ]
         return samples, SeenStrip(rows.y - self._window.y, summary, provenance, pictures)
 
@@ -245,8 +248,15 @@ class Recorder:
         }
 
 
-def _composited(rules: StackRules, strips: Sequence[Strip], rows: Window) -> Rgba:
-    accumulator = engine.start(rules, rows.width, rows.height)
+def _at_scale(rules: StackRules, scale: int) -> StackRules:
+    """The rules for a picture that becomes so many times smaller: its weave shall be seen there."""
+    return replace(rules, weave=replace(rules.weave, size=rules.weave.size * scale))
+
+
+def _composited(
+    rules: StackRules, strips: Sequence[Strip], rows: Window, origin: tuple[int, int]
+) -> Rgba:
+    accumulator = engine.start(rules, rows.width, rows.height, origin=origin)
     accumulator.add(rules.arrival, [strips[number] for number in rules.arrival])
     return accumulator.result("float", Losses())
 
@@ -259,14 +269,14 @@ class _PreviewSums:
 
     def __init__(self, window: Window, rules: StackRules) -> None:
         self._rules = rules
-        self._scale = preview_scale(window.width, window.height)
-        shape = -(-window.height // self._scale), -(-window.width // self._scale)
+        self.scale = preview_scale(window.width, window.height)
+        shape = -(-window.height // self.scale), -(-window.width // self.scale)
         self._sums = {name: np.zeros((*shape, 4)) for name in compared(rules)}
         self._layer = np.zeros(shape, np.uint32)
-        columns = np.arange(0, window.width, self._scale)
+        columns = np.arange(0, window.width, self.scale)
         self._columns = columns
         widths = np.diff(np.append(columns, window.width))
-        heights = np.diff(np.append(np.arange(0, window.height, self._scale), window.height))
+        heights = np.diff(np.append(np.arange(0, window.height, self.scale), window.height))
         self._areas = (heights[:, None] * widths)[..., None]
 
     @staticmethod
@@ -276,18 +286,17 @@ class _PreviewSums:
 
     def add(self, top: int, pictures: Sequence[Rgba], layer: NDArray[np.uint32]) -> None:
         for offset in range(len(layer)):
-            row, within = divmod(top + offset, self._scale)
+            row, within = divmod(top + offset, self.scale)
             for sums, picture in zip(self._sums.values(), pictures, strict=True):
                 sums[row] += np.add.reduceat(
                     picture[offset].astype(np.float64), self._columns, axis=0
                 )
             if within == 0:
-                self._layer[row] = layer[offset, :: self._scale]
+                self._layer[row] = layer[offset, :: self.scale]
 
     def result(self) -> Preview:
         pictures = {name: self._picture(sums) for name, sums in self._sums.items()}
-        of_file = result_name(self._rules.blending.name)
-        return Preview(pictures, of_file, self._layer, self._scale)
+        return Preview(pictures, self._rules.blending.name, self._layer, self.scale)
 
     def _picture(self, sums: NDArray[np.float64]) -> Any:
         with np.errstate(invalid="ignore"):

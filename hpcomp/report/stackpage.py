@@ -21,6 +21,7 @@ from .stackreport import TRADITIONAL, Preview, StackReport
 _PICTURES = {
     TRADITIONAL: "the layers added as usual",
     "hue-preserving": "the layers added so that hues stay",
+    "woven": "the hues of all layers side by side",
 }
 #: What is said of the picture that is the file's.
 _OF_FILE = "(the file)"
@@ -79,7 +80,8 @@ def _comparison(report: StackReport) -> Node:
 def _frame(report: StackReport, preview: Preview) -> tuple[Node, ...]:
     """All pictures on one place, two of them in sight, and what moves the line between these."""
     names = list(preview.pictures)
-    left, right = names[0], preview.of_file
+    left = names[0]
+    right = preview.of_file if preview.of_file != left else names[1]
     pictures = [
         _picture(number, name, preview, {left: "before", right: "after"}.get(name))
         for number, name in enumerate(names)

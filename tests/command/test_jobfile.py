@@ -13,7 +13,7 @@ from command import Desk
 from command import hpcomp as hpcomp_command
 
 import hpcomp
-from hpcomp.blending.addition import BLENDINGS
+from hpcomp.blending.blendings import BLENDINGS
 from hpcomp.errors import InputError, SettingError
 from hpcomp.jobs import schema
 from hpcomp.layers.layerspec import LayerSpec

@@ -23,7 +23,7 @@ import numpy as np
 import pytest
 
 import hpcomp
-from hpcomp.blending.addition import BLENDINGS
+from hpcomp.blending.blendings import BLENDINGS
 from hpcomp.blending.orders import ORDERS
 from hpcomp.blending.porter_duff import OPERATOR_NAMES, OPERATORS
 from hpcomp.cli import COMMANDS, cli

@@ -57,6 +57,8 @@ def test_an_engine_has_all_that_the_contract_names(name):
     for space in ("linear-rgb", "xyz", "hsl", "oklab", "cielab"):
         rules = stack_rules(3, space=space)
         assert by.measures(rules) is (name == "reference" or rules.space.linear)
+        for other in ({"strength": "perceived"}, {"blending": "woven"}):
+            assert by.measures(stack_rules(3, space=space, **other)) is (name == "reference")
         assert type(by.bytes_to_reduce(rules, 3)) is int
 
 

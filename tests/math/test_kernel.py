@@ -16,6 +16,7 @@ import pytest
 from bindings import (
     ALL_ORDERS,
     ARGUMENTS_OF_A_LAYER,
+    BACKGROUND,
     BOTTOM_UP,
     FRONT_TO_BACK,
     PERMUTATION,
@@ -23,9 +24,11 @@ from bindings import (
     STRIDED,
     WRONG_TYPES,
     make_background,
+    make_competition,
     make_layer,
     make_maps,
     make_rules,
+    make_weave,
     refused,
     unaligned,
 )
@@ -52,7 +55,7 @@ from strategies import (
 )
 
 import hpcomp
-from hpcomp.blending import addition
+from hpcomp.blending import addition, blendings
 from hpcomp.color.encodings import COLOR_SPACES, LINEAR_REC709, SRGB_ENCODING, ColorEncoding
 from hpcomp.color.gamut import into_gamut
 from hpcomp.color.primaries import PRIMARIES, REC709
@@ -526,7 +529,7 @@ class TestPlacement:
         placed = run(kernel, rules, strips, width, height, at_once=n_layers)
         whole = run_arrays(kernel, rules, [on_strip(strip, width, height) for strip in strips])
         assert placed.everything == whole.everything
-        plain = dataclasses.replace(rules, blending=addition.blending("traditional"))
+        plain = dataclasses.replace(rules, blending=blendings.blending("traditional"))
         assert_same(plain, strips, width, height)
 
     @pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float16, np.float32])
@@ -924,9 +927,13 @@ class TestStackBytes:
 # ---- the binding -------------------------------------------------------------------------------
 
 
-def make_accumulator(rules=None, width=3, height=2, level="", **changed):
+def make_accumulator(rules=None, width=3, height=2, level="", place=(), **changed):
     return _kernel.Accumulator(
-        rules=rules or make_rules(**changed), width=width, height=height, level=level
+        rules=rules or make_rules(**changed),
+        width=width,
+        height=height,
+        **{"left": 0, "top": 0, **dict(place)},
+        level=level,
     )
 
 
@@ -934,7 +941,6 @@ BALANCED, SIMULTANEOUS = _kernel.Order.BALANCED, _kernel.Order.SIMULTANEOUS
 #: What is no choice: numbers, names, and members of other enums.
 NO_CHOICES = (-1, 0, 1, 2**31, None, "over", "BOTTOM_UP", 1.5, _kernel.Losses)
 CODES = {"matrix": None, "luminance_weights": [0.2, 0.7, 0.1]}
-BACKGROUND = {"luminance": 0.1, "p": [0.2, 0.3], "rgb": [0.4, 0.1, 0.2], "lo": 0.0, "hi": 0.0}
 CODES_8 = kernel.code_tables(np.dtype(np.uint8))
 CODES_16 = kernel.code_tables(np.dtype(np.uint16))
 
@@ -960,6 +966,7 @@ def make_codes(tables=CODES_8, **changed):
 
 WRONG_SHAPES = ((), (4,), (2, 4), (2, 3, 4, 1), (2, 3, 0), (2, 3, 5))
 NO_COORDINATES = (2**30 + 1, -(2**30) - 1, 2**31, -(2**31), 2**63, -(2**64), 1.5, None, "1")
+TILE = np.array([[2, 0], [3, 1]], np.uint16)
 TABLE_8, TABLE_16 = np.zeros(256, np.float32), np.zeros(65536, np.float32)
 
 BAD_TABLES = {
@@ -1102,7 +1109,7 @@ class TestBinding:
     @pytest.mark.parametrize(
         "permutation",
         [[], [0], [0, 0], [0, 2], [-1, 0], [0, 1, 1], [0, 1, 2], [0, 2**31], None, [None, 0]],
-        ids=str,
+        ids=lambda changed: next(iter(changed)),
     )
     def test_permutation(self, permutation):
         with refused():
@@ -1112,7 +1119,7 @@ class TestBinding:
         ("what", "value"),
         [("luminance", None), ("luminance", [0.1]), ("p", [0.1]), ("p", [0.1] * 3), ("p", None),
          ("lo", None), ("hi", "1")],
-        ids=str,
+        ids=lambda changed: next(iter(changed)),
     )  # fmt: skip
     def test_background(self, what, value):
         with refused():
@@ -1151,7 +1158,7 @@ class TestBinding:
     def test_objects_without_content(self):
         kinds = (
             _kernel.Layer, _kernel.Rules, _kernel.Accumulator, _kernel.SpaceMaps, _kernel.Background,
-            _kernel.Codes, _kernel.Measures, _kernel.Provenance,
+            _kernel.Codes, _kernel.Measures, _kernel.Provenance, _kernel.Competition, _kernel.Weave,
         )  # fmt: skip
         for kind in kinds:
             with refused():
@@ -1166,13 +1173,16 @@ class TestBinding:
             {"p": unaligned("f8", (2, 5))}, {"kept": unaligned("f8", (5,))},
             {"counts": unaligned("i8", (2,))}, {"rules": None},
             {"rules": make_rules(blending=_kernel.Blending.FOREMOST)},
+            {"rules": make_rules(order=_kernel.Order.WOVEN)},
+            *({"strengths": m} for m in (np.zeros(4), np.zeros((1, 5)), np.zeros(5, np.float32))),
+            {"strengths": unaligned("f8", (5,))},
         ],
         ids=lambda changed: next(iter(changed)),
     )  # fmt: skip
     def test_runs(self, changed):
         right = {
             "rules": make_rules(), "counts": np.array([3, 2]), "p": np.ones((2, 5)),
-            "kept": np.empty(5),
+            "strengths": np.ones(5), "kept": np.empty(5),
         }  # fmt: skip
         _kernel.keep_runs(**right)
         with refused():
@@ -1188,8 +1198,12 @@ class TestBinding:
             _kernel.run_bytes: {"terms": 3},
             _kernel.keep_runs: {
                 "rules": make_rules(), "counts": np.array([3, 0, 2]), "p": np.ones((2, 5)),
-                "kept": np.empty(5),
+                "strengths": None, "kept": np.empty(5),
             },
+            _kernel.competition: {
+                "strength": _kernel.Strength.PERCEIVED, "oklab": make_maps("oklab"), "half_chroma": 0.1,
+            },
+            _kernel.weave: {"pattern": _kernel.Pattern.STRIPES, "size": 8, "tile": None},
         }
         for call, arguments in calls.items():
             call(**arguments)
@@ -1209,6 +1223,61 @@ class TestBinding:
         with refused():
             make_accumulator(width=width, height=height)
 
+    @pytest.mark.parametrize("place", NO_COORDINATES)
+    def test_place_of_a_strip(self, place):
+        make_accumulator(place={"left": -(2**29), "top": 2**29})
+        for side in ("left", "top"):
+            with refused():
+                make_accumulator(place={side: place})
+
+    @pytest.mark.parametrize(
+        "changed",
+        [
+            {"pattern": None}, {"pattern": 0}, {"size": 0}, {"size": 2**21}, {"size": 1.5},
+            {"pattern": _kernel.Pattern.NOISE}, {"tile": TILE},
+            *(
+                {"pattern": _kernel.Pattern.NOISE, "tile": tile}
+                for tile in (
+                    TILE[:1], TILE[0], TILE[:0, :0], TILE.astype(np.int16), TILE + np.uint16(1),
+                    np.zeros((257, 257), np.uint16), unaligned("u2", (2, 2)), [[0, 1], [2, 3]],
+                )
+            ),
+        ],
+        ids=lambda changed: next(iter(changed)),
+    )  # fmt: skip
+    def test_what_is_no_weave(self, changed):
+        make_weave(), make_weave(pattern=_kernel.Pattern.NOISE, tile=TILE)
+        with refused():
+            make_weave(**changed)
+
+    @pytest.mark.parametrize(
+        "changed",
+        [
+            {"order": _kernel.Order.WOVEN, "weave": None},
+            {"order": _kernel.Order.WOVEN, "blending": _kernel.Blending.TRADITIONAL},
+            {"blending": _kernel.Blending.WOVEN, "weave": make_weave()},
+            {"weave": make_weave()}, {"competition": make_weave()}, {"weave": 8},
+        ],
+        ids=lambda changed: next(iter(changed)),
+    )  # fmt: skip
+    def test_what_are_no_rules_of_a_weave(self, changed):
+        make_rules(order=_kernel.Order.WOVEN)
+        with refused():
+            make_rules(**changed)
+
+    @pytest.mark.parametrize(
+        "changed",
+        [
+            {"strength": None}, {"strength": 1}, {"oklab": None}, {"oklab": make_maps("cielab")},
+            {"half_chroma": 0.0}, {"half_chroma": math.nan}, {"half_chroma": None},
+        ],
+        ids=lambda changed: next(iter(changed)),
+    )  # fmt: skip
+    def test_what_is_no_competition(self, changed):
+        make_competition()
+        with refused():
+            make_competition(**changed)
+
     def test_memory_that_there_is_not(self):
         # Layers that come one by one are folded into planes of the whole strip.
         accumulator = make_accumulator(width=2**26, height=2**26)
@@ -1217,7 +1286,7 @@ class TestBinding:
 
     def test_strip_without_rules_or_level(self):
         with refused():
-            _kernel.Accumulator(rules=None, width=1, height=1, level="")
+            _kernel.Accumulator(rules=None, width=1, height=1, left=0, top=0, level="")
         for level in ("v9", None, 0):
             with refused():
                 make_accumulator(level=level)
@@ -1279,7 +1348,7 @@ class TestBinding:
     @pytest.mark.parametrize(
         "shape",
         [*WRONG_SHAPES, (2, 3, 3), (3, 2, 4), (1, 3, 4), (2, 4, 4), (24,), (0, 3, 4)],
-        ids=str,
+        ids=lambda changed: next(iter(changed)),
     )
     def test_out_of_another_shape(self, shape):
         with refused():

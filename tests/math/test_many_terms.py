@@ -124,14 +124,14 @@ def test_runs_of_any_length(blending, size):
     rules = stack_rules(1, blending=blending, order="simultaneous")
     _, p = rules.space.forward(layers[:, 0, 0, :3].T.astype(float) * size)
     p[:, ::7] = 0
-    found = [by.ENGINE.keep_runs(rules, counts, p) for by in (kernel, reference)]
+    found = [by.ENGINE.keep_runs(rules, counts, p, None) for by in (kernel, reference)]
     assert np.abs(found[0] - found[1]).max() <= 1e-6
     assert all(((kept >= 0) & (kept <= 1)).all() for kept in found)
     assert all((kept[~p.any(axis=0)] == 1).all() for kept in found)
     for run, (end, count) in enumerate(zip(np.cumsum(counts), counts, strict=True)):
         alone = p[:, end - count : end].copy()
         for kept, by in zip(found, (kernel, reference), strict=True):
-            of_run = by.ENGINE.keep_runs(rules, counts[run : run + 1], alone)
+            of_run = by.ENGINE.keep_runs(rules, counts[run : run + 1], alone, None)
             assert np.array_equal(of_run, kept[end - count : end])
 
 

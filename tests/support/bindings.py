@@ -45,21 +45,43 @@ def make_maps(kind="linear", coefficient=1.0, **changed):
     return getattr(_kernel, f"{kind}_maps")(**{**arguments, **changed})
 
 
+#: What a colour below the stack is given as.
+BACKGROUND = {
+    "luminance": 0.1, "p": [0.2, 0.3], "rgb": [0.4, 0.1, 0.2], "lo": 0.0, "hi": 0.0,
+    "strength": 0.0,
+}  # fmt: skip
+
+
 def make_background(**changed):
-    arguments = {"luminance": 0.1, "p": [0.2, 0.3], "rgb": [0.4, 0.1, 0.2], "lo": 0.0, "hi": 0.0}
-    return _kernel.background(**{**arguments, **changed})
+    return _kernel.background(**{**BACKGROUND, **changed})
+
+
+def make_competition(**changed):
+    arguments = {
+        "strength": _kernel.Strength.COVERAGE, "oklab": make_maps("oklab"), "half_chroma": 0.04,
+    }  # fmt: skip
+    return _kernel.competition(**{**arguments, **changed})
+
+
+def make_weave(**changed):
+    return _kernel.weave(**{"pattern": _kernel.Pattern.STRIPES, "size": 8, "tile": None, **changed})
 
 
 def make_rules(**changed):
+    """`_kernel.rules`; woven, where the order is."""
+    if changed.get("order") is _kernel.Order.WOVEN:
+        changed = {"blending": _kernel.Blending.WOVEN, "weave": make_weave(), **changed}
     arguments = {
         "blending": _kernel.Blending.HUE_PRESERVING, "hue_tolerance": 0.03, "rounding_angle": 1e-4,
         "gray_bias": 0.0, "order": BOTTOM_UP, "permutation": [], "layers": 2, "background": None,
-        "gain": 1.0, "space": make_maps(),
+        "gain": 1.0, "space": make_maps(), "competition": None, "weave": None,
     }  # fmt: skip
     return _kernel.rules(**{**arguments, **changed})
 
 
 ALL_ORDERS = tuple(_kernel.Order)
+#: Those whose stacks the loops measure.
+MEASURED_ORDERS = tuple(order for order in ALL_ORDERS if order is not _kernel.Order.WOVEN)
 BOTTOM_UP, FRONT_TO_BACK, PERMUTATION = (
     _kernel.Order.BOTTOM_UP, _kernel.Order.FRONT_TO_BACK, _kernel.Order.PERMUTATION
 )  # fmt: skip

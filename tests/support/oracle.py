@@ -5,7 +5,9 @@ held beside the paper (Chuang, Weiskopf, Möller: Hue-Preserving Color Blending,
 fast: it works on difference vectors in RGB and finds the dominant colour by trying both.
 """
 
+import itertools
 import math
+from typing import NamedTuple
 
 # Rec. ITU-R BT.709-6, item 1.3: chromaticities (x, y) of R, G, B, and of the white point D65.
 BT709_PRIMARIES = ((0.640, 0.330), (0.300, 0.600), (0.150, 0.060))
@@ -160,7 +162,7 @@ def chroma_of_hsl(c):
 def color_of_hsl(y, p):
     if p == (0, 0):
         return (y, y, y)
-    d = added(scaled(p[0], AXIS_1), scaled(p[1], AXIS_2))
+    d = in_plane(p)
     return color(y, scaled(math.hypot(*p) / (max(d) - min(d)), d))
 
 
@@ -327,7 +329,11 @@ def within(space, y, p, lo, hi):
     for _ in range(60 if inside < outside else 0):
         middle = (inside + outside) / 2
         inside, outside = (middle, outside) if fits(middle) else (inside, middle)
-    c = color_of(y, scaled(inside, p))
+    return straight_within(y, color_of(y, scaled(inside, p)), lo, hi)
+
+
+def straight_within(y, c, lo, hi):
+    """c, of luminance y, on the straight way to its grey as far as its channels are in [lo, hi]."""
     t = 1.0
     for channel in c:
         if channel > hi:
@@ -343,7 +349,7 @@ def disguised(space, c):
         return c
     chroma_of, _ = SPACES[space]
     p = chroma_of(c)
-    return color(luminance(c), added(scaled(p[0], AXIS_1), scaled(p[1], AXIS_2)))
+    return color(luminance(c), in_plane(p))
 
 
 def undisguised(c):
@@ -351,6 +357,11 @@ def undisguised(c):
     d = difference(c)
     p = tuple(sum(a * b for a, b in zip(d, axis, strict=True)) for axis in (AXIS_1, AXIS_2))
     return luminance(c), p
+
+
+def in_plane(p):
+    """The difference vector of p."""
+    return added(scaled(p[0], AXIS_1), scaled(p[1], AXIS_2))
 
 
 def revealed(space, c):
@@ -431,14 +442,21 @@ def hue_add(c1, c2, hue_tolerance=2.0, gray_bias=0.0):
 
 
 def simultaneous(terms, hue_tolerance=2.0, gray_bias=0.0):
-    """All terms at once: each is scaled by its strongest rival of another hue."""
+    """All terms at once: each is scaled by its strongest rival of another hue.
+
+    A fourth component is a strength, that of the result comes back with it; without one |p| is it.
+    """
     y = math.fsum(luminance(c) for c in terms)
-    p = [difference(c) for c in terms if length(difference(c)) > 0]
+    colored = [c for c in terms if length(difference(c[:3])) > 0]
+    p = [difference(c[:3]) for c in colored]
+    strengths = [c[3:] for c in colored]
     n = len(p)
-    m = [length(v) for v in p]
+    m = [of_term[0] for of_term in strengths if of_term]
+    if not any(m):
+        m = [length(v) for v in p]
     e = [[shoulder(angle(p[i], p[j]), hue_tolerance) for j in range(n)] for i in range(n)]
     backers = [[k for k in range(n) if e[i][k] > 0] for i in range(n)]
-    total = (0.0, 0.0, 0.0)
+    total = (0.0,) * max(map(len, terms))
     for i in range(n):
         strongest = 0.0
         for j in range(n):
@@ -450,15 +468,64 @@ def simultaneous(terms, hue_tolerance=2.0, gray_bias=0.0):
             # would let a term of no chroma change the others by changing n.
             cap = sum(min(m[j], m[k]) for k in range(n))
             rival = min(support_j, cap)
-            if support_i == 0:
+            # Of two that have none it is no rival, beside some it takes all that has none.
+            if rival == 0:
                 q = 0.0
             elif rival >= support_i:
                 q = 1.0
             else:
                 q = rival / support_i
             strongest = max(strongest, (1 - e[i][j]) * math.pow(q, 1 + 3 * gray_bias))
-        total = added(total, scaled(1 - strongest, p[i]))
-    return color(y, total)
+        total = added(total, scaled(1 - strongest, p[i] + strengths[i]))
+    return (*color(y, total), *total[3:])
+
+
+# --- strength -----------------------------------------------------------------------------------
+#
+# Who wins need not be who has most |p|: a term may carry a strength m as its fourth component, which
+# is scaled and added as the others are.
+
+#: The Oklab chroma of a colour that is half as strong as it covers.
+HALF_STRENGTH = 0.04
+
+#: By name: the strength of a layer of that alpha whose straight colour has that Oklab chroma.
+STRENGTHS = {
+    "perceived": lambda alpha, chroma: alpha * chroma,
+    "coverage": lambda alpha, chroma: alpha * chroma / (chroma + HALF_STRENGTH),
+}
+
+
+def oklab_chroma(c):
+    return math.hypot(*oklab_of_xyz(xyz_of_color(c))[1:])
+
+
+def strength_of(name, c, alpha):
+    """The strength of a premultiplied colour at weight 1; greys and light at alpha 0 have none."""
+    if alpha == 0 or c[0] == c[1] == c[2]:
+        return 0.0
+    # C of c/alpha; Oklab is of degree 1/3, and 1/alpha may not be a number.
+    return STRENGTHS[name](alpha, oklab_chroma(c) / math.cbrt(alpha))
+
+
+def with_strength(c, m):
+    """A colour and its strength as one term; without p there is none."""
+    return (*c, m if length(difference(c)) > 0 else 0.0)
+
+
+def add_by_strength(c1, c2, hue_tolerance=2.0, gray_bias=0.0):
+    """(R, G, B, m) of two terms (R, G, B, m): ⊕ where the greater m wins, or |p| where neither has any."""
+    d1, d2 = difference(c1[:3]), difference(c2[:3])
+    e = shoulder(angle(d1, d2), hue_tolerance)  # 1 where one is grey
+    strength_1, strength_2 = (c1[3], c2[3]) if c1[3] or c2[3] else (length(d1), length(d2))
+    first_wins = strength_1 >= strength_2
+    big, small = (strength_1, strength_2) if first_wins else (strength_2, strength_1)
+    winner, d = (c1, d1) if first_wins else (c2, d2)
+    kept = 1 - math.pow(small / big, 1 + 3 * gray_bias) if big else 0.0
+    different = (
+        *color(luminance(c1) + luminance(c2), scaled(kept, d)),
+        kept * winner[3],
+    )
+    return added(scaled(e, added(c1, c2)), scaled(1 - e, different))
 
 
 # --- operators and stacks -----------------------------------------------------------------------
@@ -578,16 +645,29 @@ def composite(
     hue_tolerance=2.0,
     gray_bias=0.0,
     background=None,
+    strengths=None,
 ):
     """(R, G, B, alpha) of a stack, bottom first; ops[0] is not looked at.
 
     `bottom-up` nests the operators as they are read, c ← F_A c_i ⊕ F_B c; the other orders reduce
     the weighted terms. `order` is a name or a sequence of layer numbers; `foremost` has none.
+    `strengths`: of the layers and then of the background, at weight 1, for ⊕; None for |p|.
     """
     n = len(layers)
     ops = ["over"] * n if ops is None else ops
     read = as_read(layers, [1.0] * n if opacities is None else opacities)
-    if blending == "hue-preserving":
+    if blending == "hue-preserving" and strengths is not None:
+        *of_layers, of_background = strengths
+        read = [
+            (with_strength(c, m), alpha) for (c, alpha), m in zip(read, of_layers, strict=True)
+        ]
+        if background is not None:
+            background = with_strength(background, of_background)
+
+        def add(c1, c2, hue_tolerance):
+            return add_by_strength(c1, c2, hue_tolerance, gray_bias)
+
+    elif blending == "hue-preserving":
 
         def add(c1, c2, hue_tolerance):
             return hue_add(c1, c2, hue_tolerance, gray_bias)
@@ -629,36 +709,178 @@ def composite(
     if background is not None:
         c = add(c, scaled(1 - alpha, background), hue_tolerance)
         alpha = alpha + (1 - alpha)
-    return (*c, alpha)
+    return (*c[:3], alpha)
 
 
-def composite_in(space, layers, background=None, **job):
-    """`composite` in another space; + is the same in all."""
+def weighted_terms(layers, ops=None, opacities=None, background=None):
+    """(w, terms, alpha): the weights of (colour, alpha) of the layers, the background being the last."""
+    n = len(layers)
+    terms = as_read(layers, [1.0] * n if opacities is None else opacities)
+    w, alpha = weights([alpha_i for _, alpha_i in terms], ["over"] * n if ops is None else ops)
+    if background is not None:
+        terms.append((tuple(background), 1.0))
+        w.append(1 - alpha)
+        alpha = 1.0
+    return w, terms, alpha
+
+
+def composite_in(space, layers, background=None, strength="chroma", **job):
+    """`composite` in any space and by any strength; + is the same in all."""
+    job = {"layers": layers, "background": background, **job}
     if job.get("blending") == "traditional":
-        return composite(layers, background=background, **job)
-    result = composite(
-        [(*disguised(space, layer[:3]), layer[3]) for layer in layers],
-        background=None if background is None else disguised(space, background),
-        **job,
-    )
+        return composite(**job)
+    stack = {name: job.get(name) for name in ("layers", "ops", "opacities", "background")}
+    w, terms, _ = weighted_terms(**stack)
+    if strength != "chroma":
+        strengths = [strength_of(strength, *term) for term in terms]
+        job["strengths"] = strengths if background is not None else [*strengths, 0.0]
+    if space == "linear-rgb":
+        return composite(**job)
+    job["layers"] = [(*disguised(space, layer[:3]), layer[3]) for layer in layers]
+    job["background"] = None if background is None else disguised(space, background)
+    result = composite(**job)
     c = revealed(space, result[:3])
     if space in OPEN:
-        n = len(layers)
-        terms = as_read(layers, job.get("opacities", [1.0] * n))
-        w, alpha = weights([alpha_i for _, alpha_i in terms], job.get("ops", ["over"] * n))
-        if background is not None:
-            terms.append((background, 1.0))
-            w.append(1 - alpha)
-        lo = sum(w_i * min(0, *c_i) for w_i, (c_i, _) in zip(w, terms, strict=True))
-        hi = sum(w_i * max(a_i, *c_i) for w_i, (c_i, a_i) in zip(w, terms, strict=True))
         y, p = undisguised(result[:3])
-        c = within(space, y, p, lo, hi)
-        # Where (+) did nothing but +, the colour is the sum of colours.
-        plain = color(0, (0.0, 0.0, 0.0))
-        for w_i, (c_i, _) in zip(w, terms, strict=True):
-            plain = added(plain, scaled(w_i, c_i))
-        of_plain = undisguised(disguised(space, plain))[1]
-        room = 4e-15 * (abs(y) + max(map(abs, p)))
-        if all(abs(a - b) <= room for a, b in zip(p, of_plain, strict=True)):
-            c = plain
+        c = of_terms(space, y, p, w, terms)
     return (*c, result[3])
+
+
+def bounds(w, terms):
+    """(lo, hi): between what channels a stack of these terms stays."""
+    lo = sum(w_i * min(0, *c_i) for w_i, (c_i, _) in zip(w, terms, strict=True))
+    hi = sum(w_i * max(a_i, *c_i) for w_i, (c_i, a_i) in zip(w, terms, strict=True))
+    return lo, hi
+
+
+def of_terms(space, y, p, w, terms):
+    """The colour of y and p, in an open space, that a stack of these terms may have."""
+    c = within(space, y, p, *bounds(w, terms))
+    # Where (+) did nothing but +, the colour is the sum of colours.
+    plain = color(0, (0.0, 0.0, 0.0))
+    for w_i, (c_i, _) in zip(w, terms, strict=True):
+        plain = added(plain, scaled(w_i, c_i))
+    of_plain = undisguised(disguised(space, plain))[1]
+    room = 4e-15 * (abs(y) + max(map(abs, p)))
+    if all(abs(a - b) <= room for a, b in zip(p, of_plain, strict=True)):
+        c = plain
+    return c
+
+
+# --- woven --------------------------------------------------------------------------------------
+
+
+def stripes(x, y, size):
+    """u of a pixel, in [0, 1): a sawtooth across the diagonals, each tooth shifted by the golden ratio."""
+    diagonal = x + y
+    shift = 0.618034 * (diagonal // size) + 0.5
+    return (diagonal % size + shift - math.floor(shift)) / size
+
+
+def noise(x, y, size, tile):
+    """u of a pixel, in (0, 1): ranks of a square tile, each for size×size pixels."""
+    n = len(tile)
+    return (tile[(y // size) % n][(x // size) % n] + 0.5) / n**2
+
+
+class Woven(NamedTuple):
+    """A woven pixel, and what a test has to know of it."""
+
+    rgba: tuple
+    #: How far u is from where another hue begins, as a share; 0 where rounding decides on hues.
+    margin: float
+    #: By how much roundings of the chosen term's colour are enlarged, in units of the result.
+    gain: float
+
+
+class Thread(NamedTuple):
+    """Sorted by the angle of p, equal ones by the layer's number."""
+
+    angle: float
+    number: int
+    p: tuple
+    m: float
+    size: float
+
+
+def plane_angle(p1, p2):
+    return angle((*p1, 0.0), (*p2, 0.0))
+
+
+def woven(space, layers, u, ops=None, opacities=None, background=None, strength="chroma"):
+    """The pixel of a woven stack where the pattern is u."""
+    w, terms, alpha = weighted_terms(layers, ops, opacities, background)
+    y = math.fsum(w_i * luminance(c) for w_i, (c, _) in zip(w, terms, strict=True))  # [R1]
+    colored = []
+    for number, (w_i, (c, alpha_i)) in enumerate(zip(w, terms, strict=True)):
+        p = scaled(w_i, weaving_chroma(space, c))
+        if any(p):
+            m = math.hypot(*p) if strength == "chroma" else w_i * strength_of(strength, c, alpha_i)
+            size = w_i * max(map(abs, c))
+            colored.append(Thread(math.atan2(p[1], p[0]), number, p, m, size))
+    if not any(term.m for term in colored):
+        colored = [term._replace(m=math.hypot(*term.p)) for term in colored]
+    threads = sorted(term for term in colored if term.m > 0)
+    if not threads:
+        return Woven((*woven_color(space, y, (0.0, 0.0), w, terms), alpha), 1.0, 1.0)
+
+    whole = math.fsum(thread.m for thread in threads)
+    reached = 0.0
+    for chosen in threads:
+        reached += chosen.m
+        if reached > u * whole:
+            break
+
+    own = [term for term in colored if plane_angle(term.p, chosen.p) <= ROUNDING_ANGLE]
+    share = math.fsum(term.m for term in own) / whole
+    if len(own) == len(colored):
+        p = tuple(math.fsum(axis) for axis in zip(*(term.p for term in own), strict=True))
+    else:
+        wanted = math.fsum(math.hypot(*term.p) for term in own) / share
+        p = tuple(wanted * axis for axis in scaled(1 / math.hypot(*chosen.p), chosen.p))  # [R2]
+    c = woven_color(space, y, p, w, terms)
+    gain = max(term.size / math.hypot(*term.p) for term in own) / share
+    return Woven((*c, alpha), margin_of(threads, colored, u), gain)
+
+
+def weaving_chroma(space, c):
+    if space in SPACES:
+        return (0.0, 0.0) if c[0] == c[1] == c[2] else SPACES[space][0](c)
+    return undisguised(c)[1]
+
+
+def woven_color(space, y, p, w, terms):
+    """The colour of y and p, p as long as the bounds let it be."""
+    if space in OPEN:
+        return of_terms(space, y, p, w, terms)
+    c = color_of_xyz(y, p) if space == "xyz" else color(y, in_plane(p))
+    lo, hi = bounds(w, terms)
+    return straight_within(y, c, min(lo, y), max(hi, y))
+
+
+#: Of single precision, with room for a few operations; seen from a small p it is an angle.
+SINGLE = 1e-6
+
+
+def margin_of(threads, colored, u):
+    """How far u is from the next boundary between two hues, 0 where single precision decides on them."""
+    whole = math.fsum(thread.m for thread in threads)
+    if any(term.m < 1e-3 * whole and term.m <= SINGLE for term in colored) and len(threads) < len(
+        colored
+    ):
+        return 0.0  # a little strength beside none
+    for i, one in enumerate(colored):
+        unsure = SINGLE * one.size / math.hypot(*one.p)
+        if math.pi - abs(one.angle) <= unsure + ROUNDING_ANGLE and len(colored) > 1:
+            return 0.0  # the first or the last
+        for other in colored[:i]:
+            theta = plane_angle(one.p, other.p)
+            both = unsure + SINGLE * other.size / math.hypot(*other.p)
+            if theta + both > ROUNDING_ANGLE / 2 and theta - both < 2 * ROUNDING_ANGLE:
+                return 0.0
+    reached, margin = 0.0, 1.0
+    for before, after in itertools.pairwise(threads):
+        reached += before.m
+        if plane_angle(before.p, after.p) > ROUNDING_ANGLE:
+            margin = min(margin, abs(reached / whole - u))
+    return margin

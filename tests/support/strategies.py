@@ -25,6 +25,9 @@ OPERATOR_NAMES = (
 )
 BLENDING_NAMES = ("hue-preserving", "traditional", "foremost")
 ORDER_NAMES = ("bottom-up", "top-down", "balanced", "simultaneous")
+SPACE_NAMES = ("linear-rgb", *oracle.SPACES)
+STRENGTH_NAMES = ("chroma", *oracle.STRENGTHS)
+WEAVE_NAMES = ("stripes", "noise")
 
 #: The default, the paper's 0, and one to either side.
 HUE_TOLERANCES = (2.0, 0.0, 0.5, 10.0)

@@ -1,0 +1,239 @@
+// Woven terms: the phases of the pattern, and in each pixel whose hue it shows.
+
+#pragma once
+
+#include "addition.h"
+
+namespace hpcomp {
+namespace {
+
+constexpr double kStripeShift = 0.618034, kLargestPhase = 1 - 0x1p-24;
+
+HPCOMP_INLINE int floor_of_quotient(int a, int b) { return a / b - (a % b < 0 ? 1 : 0); }
+
+// Of a block from column `x`, row `y` of the canvas on, as `weaving.py` has them. Divisions are for cells,
+// not for pixels.
+void phases(const Weave &weave, int x, int y, Row phase) {
+    const bool stripes = weave.pattern == Pattern::kStripes;
+    const int along = stripes ? x + y : x, size = weave.size;
+    int cell = floor_of_quotient(along, size), step = along - cell * size;
+    const auto wrapped = [&weave](int of) { return of - floor_of_quotient(of, weave.side) * weave.side; };
+    const uint16_t *row = nullptr;
+    if (!stripes) row = weave.tile + int64_t(wrapped(floor_of_quotient(y, size))) * weave.side;
+    for (int begin = 0; begin < kBlock; ++cell) {
+        const int end = kBlock - begin < size - step ? kBlock : begin + size - step;
+        if (stripes) {
+            const double moved = kStripeShift * cell + 0.5, shift = moved - __builtin_floor(moved);
+            for (int i = begin; i < end; ++i)
+                phase[i] = float(smaller((double(step + i - begin) + shift) / size, kLargestPhase));
+        } else {
+            const double of_cell = (double(row[wrapped(cell)]) + 0.5) / (double(weave.side) * weave.side);
+            for (int i = begin; i < end; ++i) phase[i] = float(smaller(of_cell, kLargestPhase));
+        }
+        begin = end, step = 0;
+    }
+}
+
+typedef int32_t LaneInts __attribute__((vector_size(kRegister * sizeof(int32_t))));
+// Bits of the number of a hue, and how many of them are found among all terms.
+constexpr int kHueBits = 24, kCoarseBits = 8;
+
+// A number that grows with the angle of a vector, from -pi to pi: no arc is taken, and hues that rounding
+// alone tells apart mostly have one number. 0 has whatever number.
+HPCOMP_INLINE int32_t hue_number(float x, float y) {
+    const float size = magnitude(x) + magnitude(y), slope = size > 0 ? y / size : 0.0f;
+    const float far = y < 0 ? -2 - slope : 2 - slope;
+    const float turn = x < 0 ? far : slope;  // in [-2, 2]
+    const int32_t number = int32_t((turn + 2) * float(1 << (kHueBits - 2)));
+    return number < (1 << kHueBits) ? number : (1 << kHueBits) - 1;
+}
+
+// Terms of a run of lanes: (n, kLanes) each. `hue`: its number. `x`, `y`: p scaled near 1.
+struct WovenTerms {
+    int n;
+    float *m, *length, *x, *y;
+    int32_t *hue;
+    int *close;  // (n): scratch for numbers of terms
+
+    WovenTerms(float *scratch, int n) : n(n) {
+        const int64_t plane = int64_t(n) * kLanes;
+        m = scratch, length = m + plane, x = length + plane, y = x + plane;
+        hue = reinterpret_cast<int32_t *>(y + plane);
+        close = hue + plane;
+    }
+};
+
+// The sums of m of terms of the numbers `some` (count) whose hue is from `from` to below `trial`, and `start`:
+// (kLanes). All lanes in one loop: additions wait for each other.
+constexpr int kRegisters = kLanes / kRegister;
+struct LaneSums {
+    Lanes part[kRegisters];
+};
+template <bool kFrom>
+HPCOMP_INLINE LaneSums sums_below(const WovenTerms &terms, const int *some, int count,
+                                  const LaneInts (&trial)[kRegisters], const LaneInts (&from)[kRegisters],
+                                  const LaneSums &start) {
+    LaneSums sums = start;
+    for (int k = 0; k < count; ++k) {
+        const int64_t of_term = int64_t(some[k]) * kLanes;
+        for (int r = 0; r < kRegisters; ++r) {
+            LaneInts hue;
+            std::memcpy(&hue, terms.hue + of_term + r * kRegister, sizeof hue);
+            const LaneInts counts = kFrom ? (hue < trial[r]) & (hue >= from[r]) : hue < trial[r];
+            sums.part[r] += counts ? lanes_of(terms.m + of_term + r * kRegister) : Lanes{};
+        }
+    }
+    return sums;
+}
+
+// Puts into `close` the terms whose hue has the first bits of `coarse` in any lane. Returns how many.
+HPCOMP_INLINE int close_terms(const WovenTerms &terms, const LaneInts (&coarse)[kRegisters], int other_bits) {
+    int count = 0;
+    for (int k = 0; k < terms.n; ++k) {
+        LaneInts any = {};
+        for (int r = 0; r < kRegisters; ++r) {
+            LaneInts hue;
+            std::memcpy(&hue, terms.hue + int64_t(k) * kLanes + r * kRegister, sizeof hue);
+            any |= (hue ^ coarse[r]) >> other_bits == 0;
+        }
+        int is_close = 0;
+        for (int l = 0; l < kRegister; ++l) is_close |= any[l];
+        terms.close[count] = k;
+        count += is_close != 0;
+    }
+    return count;
+}
+
+// The term of each lane with which the strengths, by hue and then by number, pass the target: its number, -1
+// for none, its p scaled near 1, and its length.
+struct Thread {
+    int32_t number[kLanes];
+    float x[kLanes], y[kLanes], length[kLanes];
+};
+
+HPCOMP_INLINE Thread find_thread(const WovenTerms &terms, const float *target) {
+    // The largest number of a hue below which there is no more than the target, bit by bit: so the terms of
+    // that number pass it. After the first bits only those terms are left to look at that are of the same.
+    LaneInts found[kRegisters] = {}, coarse[kRegisters] = {};
+    const LaneSums nothing{};
+    int count = terms.n;
+    for (int k = 0; k < count; ++k) terms.close[k] = k;
+    const auto find = [&](int bit, const LaneSums &start, auto sums) {
+        LaneInts trial[kRegisters];
+        for (int r = 0; r < kRegisters; ++r) trial[r] = found[r] + (1 << bit);
+        const LaneSums below = sums(terms, terms.close, count, trial, coarse, start);
+        for (int r = 0; r < kRegisters; ++r)
+            found[r] = below.part[r] <= lanes_of(target + r * kRegister) ? trial[r] : found[r];
+    };
+    constexpr int kFine = kHueBits - kCoarseBits;
+    for (int bit = kHueBits - 1; bit >= kFine; --bit) find(bit, nothing, sums_below<false>);
+    const LaneSums start = sums_below<false>(terms, terms.close, count, found, coarse, nothing);
+    for (int r = 0; r < kRegisters; ++r) coarse[r] = found[r];
+    count = close_terms(terms, coarse, kFine);
+    for (int bit = kFine - 1; bit >= 0; --bit) find(bit, start, sums_below<true>);
+    const LaneSums below = sums_below<true>(terms, terms.close, count, found, coarse, start);
+    // Of several with that number the first that passes it, or the last.
+    Thread thread{};
+    int32_t number[kLanes];
+    float reached[kLanes];
+    std::memcpy(number, found, sizeof number);
+    std::memcpy(reached, below.part, sizeof reached);
+    for (int l = 0; l < kLanes; ++l) thread.number[l] = -1;
+    for (int c = 0; c < count; ++c) {
+        const int k = terms.close[c];
+        ConstRow of = terms.m + k * kLanes, x = terms.x + k * kLanes, y = terms.y + k * kLanes;
+        ConstRow lengths = terms.length + k * kLanes;
+        const int32_t *hue = terms.hue + k * kLanes;
+        for (int l = 0; l < kLanes; ++l) {
+            const bool same = (hue[l] == number[l]) & (of[l] > 0);
+            const bool takes = same & ((thread.number[l] < 0) | !(reached[l] > target[l]));
+            thread.number[l] = takes ? k : thread.number[l];
+            thread.x[l] = takes ? x[l] : thread.x[l];
+            thread.y[l] = takes ? y[l] : thread.y[l];
+            thread.length[l] = takes ? lengths[l] : thread.length[l];
+            reached[l] += same ? of[l] : 0.0f;
+        }
+    }
+    return thread;
+}
+
+// The woven rule for one run of lanes: `kept` (count, kBlock) gets what it keeps of terms p (count, 2, kBlock)
+// of `strengths` (count, kBlock), or of the lengths of p if that is null, from column `begin` on. `scratch`
+// holds `weaving_floats`.
+HPCOMP_INLINE void keep_thread(const Rules &rules, const float *p, const float *strengths, int count,
+                               const float *phase, int begin, float *scratch, float *kept) {
+    int *there = reinterpret_cast<int *>(scratch), own[kLanes];
+    const int n = find_terms<kLanes>(p, count, begin, there, own);
+    for (int k = 0; k < count; ++k)
+        for (int l = 0; l < kLanes; ++l) kept[int64_t(k) * kBlock + begin + l] = 1;
+    int mixed = 0;
+    for (int l = 0; l < kLanes; ++l) mixed |= own[l] > 1;
+    if (!mixed) return;
+
+    WovenTerms terms(scratch + rounded_up(count), n);
+    for (int k = 0; k < n; ++k) {
+        ConstRow x = p + int64_t(there[k]) * 2 * kBlock + begin, y = x + kBlock;
+        Row ux = terms.x + k * kLanes, uy = terms.y + k * kLanes, of = terms.length + k * kLanes;
+        int32_t *hue = terms.hue + k * kLanes;
+        for (int l = 0; l < kLanes; ++l) {
+            const Scale scale = scale_of(x[l], y[l], 0, 0);
+            ux[l] = x[l] * scale.down;
+            uy[l] = y[l] * scale.down;
+            of[l] = __builtin_sqrtf(ux[l] * ux[l] + uy[l] * uy[l]) * scale.up;
+        }
+        for (int l = 0; l < kLanes; ++l) hue[l] = hue_number(ux[l], uy[l]);
+        std::memcpy(terms.m + k * kLanes, of, kLanes * sizeof(float));
+    }
+    if (strengths) take_strengths(strengths, there, n, begin, terms.m);
+
+    float whole[kLanes], target[kLanes];
+    for (int l = 0; l < kLanes; ++l) whole[l] = 0;
+    for (int k = 0; k < n; ++k)
+        for (int l = 0; l < kLanes; ++l) whole[l] += terms.m[k * kLanes + l];
+    for (int l = 0; l < kLanes; ++l) target[l] = phase[begin + l] * whole[l];
+    const Thread thread = find_thread(terms, target);
+
+    // What is of its hue stands for all strength.
+    float amount[kLanes] = {}, strength[kLanes] = {}, others[kLanes] = {};
+    for (int k = 0; k < n; ++k) {
+        ConstRow of = terms.m + k * kLanes, lengths = terms.length + k * kLanes;
+        ConstRow x = terms.x + k * kLanes, y = terms.y + k * kLanes;
+        for (int l = 0; l < kLanes; ++l) {
+            const float dot = thread.x[l] * x[l] + thread.y[l] * y[l];
+            const float across = magnitude(thread.x[l] * y[l] - thread.y[l] * x[l]);
+            // But for rounding; what has no hue is not of another.
+            const bool its = across <= rules.rounding_angle * dot;
+            amount[l] += its ? lengths[l] : 0.0f;
+            strength[l] += its ? of[l] : 0.0f;
+            others[l] += its ? 0.0f : lengths[l];
+        }
+    }
+    float factor[kLanes], alone[kLanes];
+    for (int l = 0; l < kLanes; ++l) {
+        factor[l] = amount[l] * (whole[l] / strength[l]) / thread.length[l];
+        const bool one = (others[l] == 0) | (thread.number[l] < 0) | (whole[l] * 0 != 0);
+        alone[l] = one ? 1.0f : 0.0f;
+    }
+    for (int k = 0; k < n; ++k) {
+        Row share = kept + int64_t(there[k]) * kBlock + begin;
+        ConstRow lengths = terms.length + k * kLanes;
+        for (int l = 0; l < kLanes; ++l) {
+            const float of_others = lengths[l] > 0 ? 0.0f : 1.0f;
+            const float woven = thread.number[l] == k ? factor[l] : of_others;
+            share[l] = alone[l] != 0 ? 1.0f : woven;
+        }
+    }
+}
+
+// Reduces weighted p (count, 2, kBlock) to the place of the first, and tells in `kept` (count, kBlock) what is
+// kept of each term.
+HPCOMP_INLINE void weave_terms(const Rules &rules, float *p, const float *strengths, int count, int n,
+                               const float *phase, float *scratch, float *kept) {
+    for (int begin = 0; begin < n; begin += kLanes) {
+        keep_thread(rules, p, strengths, count, phase, begin, scratch, kept);
+        sum_kept(p, kept, count, begin);
+    }
+}
+
+}  // namespace
+}  // namespace hpcomp
