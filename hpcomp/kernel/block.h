@@ -41,7 +41,7 @@ constexpr int64_t pair_floats(int64_t n) { return (2 * tabled(n) + 4) * tabled(n
 constexpr int64_t sorting_doubles(int64_t n) { return 23 * n + 5; }
 constexpr int64_t run_doubles(int64_t n) { return 4 * n + sorting_doubles(n); }
 constexpr int64_t many_terms_floats(int64_t n) { return n > kPairedTerms ? 2 * run_doubles(n) : 0; }
-constexpr int64_t weaving_floats(int64_t n) { return 2 * rounded_up(n) + 5 * n * kLanes; }
+constexpr int64_t weaving_floats(int64_t n) { return 2 * rounded_up(n) + 6 * n * kLanes; }
 constexpr int64_t reducing_floats(Order order, int64_t n) {
     if (order == Order::kWoven) return weaving_floats(n);
     if (order != Order::kSimultaneous) return 0;

@@ -150,6 +150,12 @@ HPCOMP_INLINE void to_plane(const Rules &rules, int n, const float *red, const f
     }
 }
 
+HPCOMP_INLINE bool any_hue(int n, const float *p0, const float *p1) {
+    int any = 0;
+    for (int i = 0; i < n; ++i) any |= (p0[i] != 0) | (p1[i] != 0);
+    return any != 0;
+}
+
 // Strengths from Oklab's chroma of premultiplied colours, which is of degree 1/3, and their alpha. What has
 // no hue has no strength.
 HPCOMP_INLINE void to_strengths(const Rules &rules, int n, const float *alpha, const float *p0, const float *p1,
@@ -184,10 +190,13 @@ HPCOMP_INLINE void to_terms(const Rules &rules, int n, const Light &to, const fl
     } else {
         to_plane(rules, n, red, green, blue, luminance, p0, p1);
     }
-    if (to.strength) {
-        oklab_chroma(rules.perception, n, red, green, blue, to.strength);
-        to_strengths(rules, n, alpha, p0, p1, to.strength);
+    if (to.strength == nullptr) return;
+    if (!any_hue(n, p0, p1)) {  // greys, and where the layer is not: most of many pictures
+        for (int i = 0; i < n; ++i) to.strength[i] = 0;
+        return;
     }
+    oklab_chroma(rules.perception, n, red, green, blue, to.strength);
+    to_strengths(rules, n, alpha, p0, p1, to.strength);
 }
 // A block of a layer as a term and its alpha, and where results are bounded what bounds its channels.
 // Returns as `load` does.

@@ -71,6 +71,7 @@ HPCOMP_INLINE Lab oklab_of(const OklabNumbers &numbers, float red, float green, 
 // Oklab's chroma of premultiplied colours: of degree 1/3.
 HPCOMP_INLINE void oklab_chroma(const OklabNumbers &numbers, int n, const float *red, const float *green,
                                 const float *blue, float *chroma) {
+#pragma GCC ivdep
     for (int i = 0; i < n; ++i) chroma[i] = oklab_of(numbers, red[i], green[i], blue[i]).chroma;
 }
 
@@ -78,6 +79,7 @@ HPCOMP_INLINE void oklab_chroma(const OklabNumbers &numbers, int n, const float 
 template <bool kChroma>
 HPCOMP_INLINE void to_oklab(const SpaceMaps &space, int n, const float *red, const float *green,
                             const float *blue, const float *luminance, float *p0, float *p1, float *chroma) {
+#pragma GCC ivdep
     for (int i = 0; i < n; ++i) {
         const Lab lab = oklab_of(space.oklab, red[i], green[i], blue[i]);
         // As L vanishes, p/Y grows to its bound and stays there: the direction is (a, b) throughout.

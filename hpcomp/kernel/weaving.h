@@ -37,6 +37,10 @@ void phases(const Weave &weave, int x, int y, Row phase) {
 typedef int32_t LaneInts __attribute__((vector_size(kRegister * sizeof(int32_t))));
 // Bits of the number of a hue, and how many of them are found among all terms.
 constexpr int kHueBits = 24, kCoarseBits = 8;
+// Units of all strength: their sums are exact as floats, too.
+constexpr float kShares = 1 << 23;
+// Terms up to which each is compared with all others.
+constexpr int kFewTerms = 16;
 
 // A number that grows with the angle of a vector, from -pi to pi: no arc is taken, and hues that rounding
 // alone tells apart mostly have one number. 0 has whatever number.
@@ -48,54 +52,54 @@ HPCOMP_INLINE int32_t hue_number(float x, float y) {
     return number < (1 << kHueBits) ? number : (1 << kHueBits) - 1;
 }
 
-// Terms of a run of lanes: (n, kLanes) each. `hue`: its number. `x`, `y`: p scaled near 1.
+// Terms of a run of lanes: (n, kLanes) each. `hue`: its number. `share`: the strength in whole units, so that
+// their sums are exact, whatever the terms beside. `x`, `y`: p scaled near 1.
 struct WovenTerms {
     int n;
     float *m, *length, *x, *y;
-    int32_t *hue;
+    int32_t *hue, *share;
     int *close;  // (n): scratch for numbers of terms
 
     WovenTerms(float *scratch, int n) : n(n) {
         const int64_t plane = int64_t(n) * kLanes;
         m = scratch, length = m + plane, x = length + plane, y = x + plane;
-        hue = reinterpret_cast<int32_t *>(y + plane);
-        close = hue + plane;
+        hue = reinterpret_cast<int32_t *>(y + plane), share = hue + plane;
+        close = share + plane;
+    }
+
+    LaneInts lanes(const int32_t *of, int k, int r) const {
+        LaneInts lanes;
+        std::memcpy(&lanes, of + int64_t(k) * kLanes + r * kRegister, sizeof lanes);
+        return lanes;
     }
 };
 
-// The sums of m of terms of the numbers `some` (count) whose hue is from `from` to below `trial`, and `start`:
-// (kLanes). All lanes in one loop: additions wait for each other.
+// All lanes in one loop: additions wait for each other.
 constexpr int kRegisters = kLanes / kRegister;
 struct LaneSums {
-    Lanes part[kRegisters];
+    LaneInts part[kRegisters];
 };
-template <bool kFrom>
-HPCOMP_INLINE LaneSums sums_below(const WovenTerms &terms, const int *some, int count,
-                                  const LaneInts (&trial)[kRegisters], const LaneInts (&from)[kRegisters],
-                                  const LaneSums &start) {
-    LaneSums sums = start;
-    for (int k = 0; k < count; ++k) {
-        const int64_t of_term = int64_t(some[k]) * kLanes;
+
+// The sums of the shares of terms of the numbers `some` (count) whose hue is from `from` to below `trial`.
+HPCOMP_INLINE LaneSums shares_below(const WovenTerms &terms, const int *some, int count, const LaneSums &trial,
+                                    const LaneSums &from) {
+    LaneSums sums{};
+    for (int c = 0; c < count; ++c) {
         for (int r = 0; r < kRegisters; ++r) {
-            LaneInts hue;
-            std::memcpy(&hue, terms.hue + of_term + r * kRegister, sizeof hue);
-            const LaneInts counts = kFrom ? (hue < trial[r]) & (hue >= from[r]) : hue < trial[r];
-            sums.part[r] += counts ? lanes_of(terms.m + of_term + r * kRegister) : Lanes{};
+            const LaneInts hue = terms.lanes(terms.hue, some[c], r);
+            sums.part[r] += (hue < trial.part[r]) & (hue >= from.part[r]) & terms.lanes(terms.share, some[c], r);
         }
     }
     return sums;
 }
 
 // Puts into `close` the terms whose hue has the first bits of `coarse` in any lane. Returns how many.
-HPCOMP_INLINE int close_terms(const WovenTerms &terms, const LaneInts (&coarse)[kRegisters], int other_bits) {
+HPCOMP_INLINE int close_terms(const WovenTerms &terms, const LaneSums &coarse, int other_bits) {
     int count = 0;
     for (int k = 0; k < terms.n; ++k) {
         LaneInts any = {};
-        for (int r = 0; r < kRegisters; ++r) {
-            LaneInts hue;
-            std::memcpy(&hue, terms.hue + int64_t(k) * kLanes + r * kRegister, sizeof hue);
-            any |= (hue ^ coarse[r]) >> other_bits == 0;
-        }
+        for (int r = 0; r < kRegisters; ++r)
+            any |= (terms.lanes(terms.hue, k, r) ^ coarse.part[r]) >> other_bits == 0;
         int is_close = 0;
         for (int l = 0; l < kRegister; ++l) is_close |= any[l];
         terms.close[count] = k;
@@ -104,55 +108,84 @@ HPCOMP_INLINE int close_terms(const WovenTerms &terms, const LaneInts (&coarse)[
     return count;
 }
 
-// The term of each lane with which the strengths, by hue and then by number, pass the target: its number, -1
-// for none, its p scaled near 1, and its length.
+// The term of each lane with which the shares, by hue and then by number, pass the target: its number, -1 for
+// none, its p scaled near 1, and its length.
 struct Thread {
     int32_t number[kLanes];
     float x[kLanes], y[kLanes], length[kLanes];
+
+    HPCOMP_INLINE void take(const WovenTerms &terms, int k, const int32_t (&takes)[kLanes], Thread &thread) {
+        ConstRow x = terms.x + k * kLanes, y = terms.y + k * kLanes, lengths = terms.length + k * kLanes;
+        for (int l = 0; l < kLanes; ++l) {
+            thread.number[l] = takes[l] ? k : thread.number[l];
+            thread.x[l] = takes[l] ? x[l] : thread.x[l];
+            thread.y[l] = takes[l] ? y[l] : thread.y[l];
+            thread.length[l] = takes[l] ? lengths[l] : thread.length[l];
+        }
+    }
 };
 
-HPCOMP_INLINE Thread find_thread(const WovenTerms &terms, const float *target) {
-    // The largest number of a hue below which there is no more than the target, bit by bit: so the terms of
-    // that number pass it. After the first bits only those terms are left to look at that are of the same.
-    LaneInts found[kRegisters] = {}, coarse[kRegisters] = {};
-    const LaneSums nothing{};
+// Of few terms: what each reaches, from all others.
+HPCOMP_INLINE Thread find_thread_of_few(const WovenTerms &terms, const LaneSums &target) {
+    Thread thread{};
+    LaneSums first;
+    for (int r = 0; r < kRegisters; ++r) first.part[r] = LaneInts{} + (1 << kHueBits);
+    for (int l = 0; l < kLanes; ++l) thread.number[l] = -1;
+    for (int k = 0; k < terms.n; ++k) {
+        int32_t takes[kLanes];
+        for (int r = 0; r < kRegisters; ++r) {
+            const LaneInts own = terms.lanes(terms.hue, k, r), share = terms.lanes(terms.share, k, r);
+            LaneInts reached = share;
+            for (int j = 0; j < k; ++j)
+                reached += (terms.lanes(terms.hue, j, r) <= own) & terms.lanes(terms.share, j, r);
+            for (int j = k + 1; j < terms.n; ++j)
+                reached += (terms.lanes(terms.hue, j, r) < own) & terms.lanes(terms.share, j, r);
+            const LaneInts better = (reached > target.part[r]) & (own < first.part[r]) & (share > 0);
+            first.part[r] = better ? own : first.part[r];
+            std::memcpy(takes + r * kRegister, &better, sizeof better);
+        }
+        Thread::take(terms, k, takes, thread);
+    }
+    return thread;
+}
+
+// Of many: the largest number of a hue below which there is no more than the target, bit by bit. The terms of
+// that number pass it. After the first bits only those terms are left to look at that are of the same.
+HPCOMP_INLINE Thread find_thread_of_many(const WovenTerms &terms, const LaneSums &target) {
+    LaneSums found{}, coarse{}, start{};
     int count = terms.n;
     for (int k = 0; k < count; ++k) terms.close[k] = k;
-    const auto find = [&](int bit, const LaneSums &start, auto sums) {
-        LaneInts trial[kRegisters];
-        for (int r = 0; r < kRegisters; ++r) trial[r] = found[r] + (1 << bit);
-        const LaneSums below = sums(terms, terms.close, count, trial, coarse, start);
+    const auto find = [&](int bit) {
+        LaneSums trial;
+        for (int r = 0; r < kRegisters; ++r) trial.part[r] = found.part[r] + (1 << bit);
+        const LaneSums below = shares_below(terms, terms.close, count, trial, coarse);
         for (int r = 0; r < kRegisters; ++r)
-            found[r] = below.part[r] <= lanes_of(target + r * kRegister) ? trial[r] : found[r];
+            found.part[r] = start.part[r] + below.part[r] <= target.part[r] ? trial.part[r] : found.part[r];
     };
     constexpr int kFine = kHueBits - kCoarseBits;
-    for (int bit = kHueBits - 1; bit >= kFine; --bit) find(bit, nothing, sums_below<false>);
-    const LaneSums start = sums_below<false>(terms, terms.close, count, found, coarse, nothing);
-    for (int r = 0; r < kRegisters; ++r) coarse[r] = found[r];
+    for (int bit = kHueBits - 1; bit >= kFine; --bit) find(bit);
+    start = shares_below(terms, terms.close, count, found, coarse);
+    coarse = found;
     count = close_terms(terms, coarse, kFine);
-    for (int bit = kFine - 1; bit >= 0; --bit) find(bit, start, sums_below<true>);
-    const LaneSums below = sums_below<true>(terms, terms.close, count, found, coarse, start);
-    // Of several with that number the first that passes it, or the last.
+    for (int bit = kFine - 1; bit >= 0; --bit) find(bit);
+    const LaneSums below = shares_below(terms, terms.close, count, found, coarse);
+    LaneSums reached;
+    for (int r = 0; r < kRegisters; ++r) reached.part[r] = start.part[r] + below.part[r];
+    // Of several with that number the first that passes it.
     Thread thread{};
-    int32_t number[kLanes];
-    float reached[kLanes];
-    std::memcpy(number, found, sizeof number);
-    std::memcpy(reached, below.part, sizeof reached);
     for (int l = 0; l < kLanes; ++l) thread.number[l] = -1;
     for (int c = 0; c < count; ++c) {
         const int k = terms.close[c];
-        ConstRow of = terms.m + k * kLanes, x = terms.x + k * kLanes, y = terms.y + k * kLanes;
-        ConstRow lengths = terms.length + k * kLanes;
-        const int32_t *hue = terms.hue + k * kLanes;
-        for (int l = 0; l < kLanes; ++l) {
-            const bool same = (hue[l] == number[l]) & (of[l] > 0);
-            const bool takes = same & ((thread.number[l] < 0) | !(reached[l] > target[l]));
-            thread.number[l] = takes ? k : thread.number[l];
-            thread.x[l] = takes ? x[l] : thread.x[l];
-            thread.y[l] = takes ? y[l] : thread.y[l];
-            thread.length[l] = takes ? lengths[l] : thread.length[l];
-            reached[l] += same ? of[l] : 0.0f;
+        int32_t takes[kLanes];
+        for (int r = 0; r < kRegisters; ++r) {
+            LaneInts number;
+            std::memcpy(&number, thread.number + r * kRegister, sizeof number);
+            const LaneInts same = terms.lanes(terms.hue, k, r) == found.part[r];
+            reached.part[r] += same & terms.lanes(terms.share, k, r);
+            const LaneInts passes = same & (number < 0) & (reached.part[r] > target.part[r]);
+            std::memcpy(takes + r * kRegister, &passes, sizeof passes);
         }
+        Thread::take(terms, k, takes, thread);
     }
     return thread;
 }
@@ -186,12 +219,29 @@ HPCOMP_INLINE void keep_thread(const Rules &rules, const float *p, const float *
     }
     if (strengths) take_strengths(strengths, there, n, begin, terms.m);
 
-    float whole[kLanes], target[kLanes];
-    for (int l = 0; l < kLanes; ++l) whole[l] = 0;
+    float whole[kLanes] = {}, unit[kLanes];
     for (int k = 0; k < n; ++k)
         for (int l = 0; l < kLanes; ++l) whole[l] += terms.m[k * kLanes + l];
-    for (int l = 0; l < kLanes; ++l) target[l] = phase[begin + l] * whole[l];
-    const Thread thread = find_thread(terms, target);
+    // Of what is infinite or nothing there are no shares.
+    for (int l = 0; l < kLanes; ++l) {
+        const bool has_shares = (whole[l] > 0) & (whole[l] * 0 == 0);
+        unit[l] = has_shares ? kShares / whole[l] : 0.0f;
+    }
+    float shares[kLanes] = {};
+    for (int k = 0; k < n; ++k) {
+        ConstRow of = terms.m + k * kLanes;
+        int32_t *share = terms.share + k * kLanes;
+        for (int l = 0; l < kLanes; ++l) {
+            const float units = unit[l] > 0 ? of[l] * unit[l] : 0.0f;
+            share[l] = int32_t(units);
+            shares[l] += float(share[l]);
+        }
+    }
+    int32_t passed[kLanes];
+    for (int l = 0; l < kLanes; ++l) passed[l] = int32_t(phase[begin + l] * shares[l]);
+    LaneSums target;
+    std::memcpy(&target, passed, sizeof target);
+    const Thread thread = n <= kFewTerms ? find_thread_of_few(terms, target) : find_thread_of_many(terms, target);
 
     // What is of its hue stands for all strength.
     float amount[kLanes] = {}, strength[kLanes] = {}, others[kLanes] = {};

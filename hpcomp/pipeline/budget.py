@@ -23,6 +23,8 @@ NUMPY_BYTES = 10 << 20
 PLANES_BYTES = 32
 #: The two planes more of a space in which the result is to be brought back into gamut.
 BOUNDS_BYTES = 8
+#: The plane more of strengths that are not the chroma.
+STRENGTH_BYTES = 4
 
 
 def stack_budget(
@@ -52,6 +54,7 @@ def stack_budget(
         at_once = len(readers) if all_at_once else LAYERS_AT_ONCE
         decoded = min(at_once, len(readers)) * RGBA_BYTES + DECODING_BYTES
     planes = PLANES_BYTES + (BOUNDS_BYTES if rules.bounded else 0)
+    planes += STRENGTH_BYTES if rules.strength.of_chroma else 0
     widest_row = max(reader.bytes_per_row for reader in readers)
     return Budget(
         per_row=held
