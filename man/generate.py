@@ -28,7 +28,7 @@ from hpcomp.cli import cli
 from hpcomp.cli.options import shown_names
 from hpcomp.color.encodings import COLOR_INTEROP_IDS, COLOR_SPACES
 from hpcomp.errors import EXIT_CODE_MEANINGS
-from hpcomp.report import huedata, palettedata, stackdata
+from hpcomp.report import explanation, huedata, palettedata, stackdata
 
 ROOT = Path(__file__).resolve().parent.parent
 MAN = ROOT / "man"
@@ -570,6 +570,7 @@ EXTRA_SECTIONS: dict[str, list[tuple[str, Callable[[], list[str]]]]] = {
         ("JSON", lambda: _json_section(huedata.JSON_KEYS)),
         ("CSV", _csv_section),
     ],
+    "hpcomp explain": [("JSON", lambda: _json_section(explanation.JSON_KEYS))],
     "hpcomp palette": [
         ("ENVIRONMENT", _hues_environment),
         ("JSON", lambda: _json_section(palettedata.JSON_KEYS)),

@@ -12,10 +12,11 @@ from typing import TYPE_CHECKING, Any, Unpack
 import numpy as np
 from numpy.typing import NDArray
 
-from ..blending.addition import chroma, shoulder, strongest_rivals
+from ..blending.addition import chroma, competing, shoulder, strongest_rivals
 from ..blending.blendings import BLENDINGS
-from ..blending.rules import Chroma, StackRules
-from ..blending.terms import weighted
+from ..blending.rules import Chroma, StackRules, stacked
+from ..blending.terms import background_term, weighted
+from ..blending.weaving import Threads, one_hue
 from ..color.planes import cross_and_dot
 from ..color.quantization import Losses
 from ..color.samples import OUTPUT_TYPES, Rgba, Strip, linear_rgba, spread
@@ -29,6 +30,7 @@ from ..layers.layerspec import LayerSpec
 from ..layers.notices import Notices, warn_of_outside, warn_of_samples
 from ..layers.placing import Layer, PlacedLayer, layer_specs, opened_stack, rules_of
 from ..measures.labels import (
+    Contributors,
     MeasureSettings,
     Support,
     contributors,
@@ -54,6 +56,10 @@ _TYPE_NAMES = {np.dtype(kind): name for name, kind in OUTPUT_TYPES.items()}
 OUTCOMES = ("layer", "background", "foreign", "grey", "colorless", "unmeasured")
 
 
+#: What rounding may take of a chroma, in parts of it and of the luminance together.
+ROUNDING = 1e-5
+
+
 @dataclass(frozen=True)
 class LayerStep:
     """What one layer brings to the pixel.
@@ -62,6 +68,7 @@ class LayerStep:
     `rgba`: linear, premultiplied, before its opacity. `weight`: what the operators leave of it.
     `hue`: degrees on the axis of the space, None for a grey. `chroma`: |p| of `rgba`;
     `weighted_chroma`: that times opacity and weight, which is what takes part in the blending.
+    `weighted_strength`: m, weighted likewise, which is what competes; None where it is |p|.
     """
 
     number: int
@@ -75,6 +82,7 @@ class LayerStep:
     hue: float | None
     chroma: float
     weighted_chroma: float
+    weighted_strength: float | None = None
 
 
 @dataclass(frozen=True)
@@ -86,6 +94,7 @@ class BackgroundStep:
     hue: float | None
     chroma: float
     weighted_chroma: float
+    weighted_strength: float | None = None
 
 
 @dataclass(frozen=True)
@@ -96,7 +105,8 @@ class Meeting:
     degrees between them, None where one has no hue. `equality`: e of the shoulder, 1 for equal
     hues and 0 for different ones, None where hues are not looked at. `dominant`: 1 or 2, None
     where neither is or their hues are equal; with `foremost` the one in front. `chroma`, `hue`: of
-    what comes of it.
+    what comes of it. `strength_first`, `strength_second`, `strength`: m of the same, None where
+    that is |p|.
     """
 
     first: tuple[int | None, ...]
@@ -108,6 +118,9 @@ class Meeting:
     dominant: int | None
     chroma: float
     hue: float | None
+    strength_first: float | None = None
+    strength_second: float | None = None
+    strength: float | None = None
 
 
 @dataclass(frozen=True)
@@ -121,6 +134,42 @@ class Rivalry:
     share: float
     rival: int | None
     angle: float | None
+
+
+@dataclass(frozen=True)
+class Thread:
+    """A colour whose hue a woven stack shows: of a layer, or of the background, None.
+
+    `hue`: in degrees. `chroma`: weighted. `share`: of the strength of all, so of the phases, which
+    are those from `begin` on.
+    """
+
+    number: int | None
+    hue: float | None
+    chroma: float
+    share: float
+    begin: float
+
+
+@dataclass(frozen=True)
+class Weaving:
+    """How a pattern chose the hue of the pixel.
+
+    `phase`: u, in [0, 1). `threads`: sorted by hue, as phases are. `chosen`: whose thread it is,
+    several where their hues are one. `one_hue`: whether no other colour has another hue, which is
+    plain +. `bound`: the share of the chroma for which the gamut has no room at this luminance.
+    """
+
+    phase: float
+    threads: tuple[Thread, ...]
+    chosen: tuple[int | None, ...]
+    one_hue: bool
+    bound: float
+
+    @property
+    def share(self) -> float:
+        """What the chosen thread has of the strength of all."""
+        return math.fsum(thread.share for thread in self.threads if thread.number in self.chosen)
 
 
 @dataclass(frozen=True)
@@ -148,6 +197,7 @@ class PixelExplanation:
     """How one pixel of a stack comes about.
 
     `rivalries` are of the order `simultaneous`, `meetings` of the others, and of the background.
+    `weaving` is of a woven stack, which has neither; None elsewhere, and where a value has no hue.
     """
 
     x: int
@@ -161,6 +211,7 @@ class PixelExplanation:
     rivalries: tuple[Rivalry, ...]
     result: Outcome
     traditional: Outcome
+    weaving: Weaving | None = None
 
 
 def parse_pixel(text: str) -> tuple[int, int]:
@@ -218,6 +269,7 @@ def explain(
         strips = _stored(stack.layers, x, y, rules, checked.resources)
         pixels = [_linear(strip) for strip in strips]
         warn_of_samples([layer.reader for layer in stack.layers], notices)
+    place = Window(x - stack.canvas.x, y - stack.canvas.y, 1, 1)
     trace = _Trace(rules, pixels)
     return PixelExplanation(
         x=x,
@@ -229,10 +281,9 @@ def explain(
         background=_background_step(rules, pixels),
         meetings=tuple(trace.meetings),
         rivalries=tuple(trace.rivalries),
-        result=_outcome(rules, settings, strips, pixels),
-        traditional=_outcome(
-            replace(rules, blending=BLENDINGS["traditional"]), settings, strips, pixels
-        ),
+        result=_outcome(rules, settings, strips, pixels, place),
+        traditional=_outcome(rules.blended("traditional"), settings, strips, pixels, place),
+        weaving=_weaving(rules, pixels, place),
     )
 
 
@@ -304,6 +355,7 @@ def _layer_steps(
                     hue=_hue(rules, luminance, p),
                     chroma=_size(p),
                     weighted_chroma=_size(stack.terms[number].p),
+                    weighted_strength=_strength(stack.terms[number].strength),
                 )
             )
     return tuple(steps)
@@ -313,7 +365,9 @@ def _background_step(rules: StackRules, pixels: Sequence[Rgba]) -> BackgroundSte
     if rules.background is None:
         return None
     with np.errstate(all="ignore"):
-        weight = float(1 - weighted(rules, pixels, rules.space).alpha[0])
+        alpha = weighted(rules, pixels, rules.space).alpha
+        term = background_term(rules, alpha, rules.space)
+    weight = float(1 - alpha[0])
     luminance, p = rules.space.forward(np.array(rules.background, np.float32)[:, None])
     return BackgroundStep(
         rgb=rules.background,
@@ -321,12 +375,18 @@ def _background_step(rules: StackRules, pixels: Sequence[Rgba]) -> BackgroundSte
         hue=_hue(rules, luminance, p),
         chroma=_size(p),
         weighted_chroma=weight * _size(p),
+        weighted_strength=_strength(term.strength),
     )
 
 
 def _size(p: Array) -> float:
     """|p| of the one pixel of p (2, 1)."""
     return float(chroma(p)[0])
+
+
+def _strength(m: Array | None) -> float | None:
+    """The strength of the one pixel of m (1)."""
+    return None if m is None else float(m[0])
 
 
 def _hue(rules: StackRules, luminance: Array, p: Array) -> float | None:
@@ -352,14 +412,22 @@ def _degrees_between(p1: Array, p2: Array) -> float | None:
 
 @dataclass(frozen=True)
 class _Party:
-    """Colours that were added so far: whose, their Y (1), p (2, 1), and where p is not linear in
-    it RGB (3, 1).
+    """Colours that were added so far: whose, their Y (1), p (2, 1) with its strength, and where p
+    is not linear in it RGB (3, 1).
     """
 
     numbers: tuple[int | None, ...]
     luminance: Array
-    p: Array
+    chroma: Chroma
     rgb: Array | None
+
+    @property
+    def p(self) -> Array:
+        return self.chroma.p
+
+    @property
+    def strength(self) -> float | None:
+        return _strength(self.chroma.strength)
 
 
 @dataclass
@@ -374,18 +442,16 @@ class _Trace:
     def __post_init__(self) -> None:
         with np.errstate(all="ignore"):
             contributing = contributors(self.rules, self.pixels)
-        if not contributing.known.all():
+        if self.rules.blending.depends_on_place or not contributing.known.all():
             return
         parties = [
             _Party(
                 (number,),
                 luminance,
-                p,
+                contributing.chroma(number),
                 None if contributing.rgb is None else contributing.rgb[number],
             )
-            for number, (luminance, p) in enumerate(
-                zip(contributing.luminance, contributing.p, strict=True)
-            )
+            for number, luminance in enumerate(contributing.luminance)
         ]
         # The orders reduce whatever can be added: here, parties instead of arrays.
         terms: Any = parties[: contributing.n_layers]
@@ -401,18 +467,19 @@ class _Trace:
 
     def _meet(self, a: _Party, b: _Party) -> _Party:
         rules = self.rules
-        p, rgb = rules.add(Chroma(a.p), Chroma(b.p)).p, None
+        added, rgb = rules.add(a.chroma, b.chroma), None
         if a.rgb is not None and b.rgb is not None and rules.blending_space is not rules.space:
             # Plain + of colours, whose p do not add in this space.
             rgb = a.rgb + b.rgb
-            p = rules.space.forward(rgb)[1]
-        both = _Party(a.numbers + b.numbers, a.luminance + b.luminance, p, rgb)
+            added = added._replace(p=rules.space.forward(rgb)[1])
+        both = _Party(a.numbers + b.numbers, a.luminance + b.luminance, added, rgb)
         angle = _degrees_between(a.p, b.p)
         equality = dominant = None
         if self._keeps_hues and angle is not None:
             equality = float(shoulder(a.p, b.p, rules.hue_tolerance)[0])
-            if equality < 1 and _size(a.p) != _size(b.p):
-                dominant = 1 if _size(a.p) > _size(b.p) else 2
+            first, second = competing(*stacked((a.chroma, b.chroma)))[:, 0]
+            if equality < 1 and first != second:
+                dominant = 1 if first > second else 2
         elif rules.blending.depends_on_depth and angle is not None:
             dominant = 1
         self.meetings.append(
@@ -426,25 +493,30 @@ class _Trace:
                 dominant=dominant,
                 chroma=_size(both.p),
                 hue=_hue(rules, both.luminance, both.p),
+                strength_first=a.strength,
+                strength_second=b.strength,
+                strength=both.strength,
             )
         )
         return both
 
     def _meet_all(self, parties: Sequence[_Party]) -> _Party:
         rules = self.rules
-        p = np.stack([party.p for party in parties])
+        terms = [party.chroma for party in parties]
         numbers = tuple(number for party in parties for number in party.numbers)
         luminance = np.sum([party.luminance for party in parties], axis=0)
         if self._keeps_hues:
-            self._note_rivals([number for number in range(len(p)) if _size(p[number]) > 0], p)
-        return _Party(numbers, luminance, rules.add_all([Chroma(q) for q in p]).p, None)
+            self._note_rivals(stacked(terms))
+        return _Party(numbers, luminance, rules.add_all(terms), None)
 
-    def _note_rivals(self, with_hue: Sequence[int], p: Array) -> None:
+    def _note_rivals(self, terms: Chroma) -> None:
+        p, rules = terms.p, self.rules
+        with_hue = [number for number in range(len(p)) if _size(p[number]) > 0]
         if not with_hue:
             return
-        rules = self.rules
+        m = competing(*terms)
         shares, rivals = strongest_rivals(
-            p[list(with_hue), :, 0].T, rules.hue_tolerance, rules.gray_bias
+            p[with_hue, :, 0].T, rules.hue_tolerance, rules.gray_bias, m[with_hue, 0]
         )
         for number, share, strongest in zip(with_hue, shares, rivals, strict=True):
             rival = with_hue[int(strongest)] if share > 0 else None
@@ -458,6 +530,45 @@ class _Trace:
             )
 
 
+def _weaving(rules: StackRules, pixels: Sequence[Rgba], place: Window) -> Weaving | None:
+    if not rules.blending.depends_on_place:
+        return None
+    with np.errstate(all="ignore"):
+        terms = contributors(rules, pixels, place)
+    if terms.phase is None or not terms.known.all():
+        return None
+    phase, shown = terms.phase, Threads.of(terms.p, terms.strength)
+    order = [number for number in shown.order[:, 0].tolist() if shown.m[number, 0] > 0]
+    names = {number: number if number < terms.n_layers else None for number in order}
+    begins = dict(zip(shown.order[1:, 0].tolist(), shown.reached[:-1, 0].tolist(), strict=True))
+    p_thread = terms.p[int(shown.at(phase)[0])]
+    own = one_hue(p_thread, terms.p.swapaxes(0, 1))[:, 0]
+    return Weaving(
+        phase=float(phase[0]),
+        threads=tuple(
+            Thread(
+                number=names[number],
+                hue=_hue(rules, terms.luminance[number], terms.p[number]),
+                chroma=_size(terms.p[number]),
+                share=float(shown.shares[number, 0]),
+                begin=begins.get(number, 0.0) / float(shown.whole[0]),
+            )
+            for number in order
+        ),
+        chosen=tuple(names[number] for number in sorted(order) if own[number]),
+        one_hue=bool((own | (terms.size[:, 0] == 0)).all()),
+        bound=_bound(rules, terms),
+    )
+
+
+def _bound(rules: StackRules, terms: Contributors) -> float:
+    """The share of the chroma that is beyond the gamut, but for rounding."""
+    everything = [terms.chroma(number) for number in range(len(terms.p))]
+    sought = _size(rules.add_all(everything, terms.phase).p)
+    beyond = sought - _size(terms.reduced(rules))
+    return beyond / sought if beyond > ROUNDING * (sought + abs(terms.luminance.sum())) else 0.0
+
+
 # --- what came out --------------------------------------------------------------------------------
 
 
@@ -466,18 +577,23 @@ def _outcome(
     settings: MeasureSettings,
     strips: Sequence[Strip],
     pixels: Sequence[Rgba],
+    place: Window,
 ) -> Outcome:
-    rgba = tuple(_composite(rules, strips, "float").tolist())
-    srgb = tuple(_composite(rules, strips, "uint8").tolist())
+    """What came of the pixel; `place`: as it is counted from the corner of the canvas."""
+    rgba = tuple(_composite(rules, strips, "float", place).tolist())
+    srgb = tuple(_composite(rules, strips, "uint8", place).tolist())
     with np.errstate(all="ignore"):
-        contributing = contributors(rules, pixels)
+        contributing = contributors(rules, pixels, place)
     if not contributing.known.all():
         return Outcome(rgba, srgb, None, math.nan, "unmeasured", None, 0.0, 0.0)
     p = contributing.reduced(rules)
     support = Support.of(p, contributing, settings)
     winner = int(support.winner(contributing, settings.half_step)[0])
     _, provenance = measures_of(
-        rules, settings, [np.asarray(pixel).reshape(1, 1, 4) for pixel in pixels]
+        rules,
+        settings,
+        [np.asarray(pixel).reshape(1, 1, 4) for pixel in pixels],
+        (place.x, place.y),
     )
     if not contributing.total()[0] > settings.half_step:
         kind = "colorless"
@@ -499,9 +615,11 @@ def _outcome(
     )
 
 
-def _composite(rules: StackRules, strips: Sequence[Strip], kind: str) -> NDArray[Any]:
+def _composite(
+    rules: StackRules, strips: Sequence[Strip], kind: str, place: Window
+) -> NDArray[Any]:
     """The pixel by the active engine, as an output of that kind holds it: (4)."""
-    accumulator = engine.start(rules, 1, 1)
+    accumulator = engine.start(rules, 1, 1, origin=(place.x, place.y))
     for number in rules.arrival:
         accumulator.add([number], [strips[number]])
     return accumulator.result(kind, Losses())[0, 0]

@@ -100,6 +100,9 @@ class Weave:
             raise unknown_name("weave", name, PATTERNS)
         return Weave(PATTERNS[name], check_weave_size(size))
 
+    def __str__(self) -> str:
+        return f"{self.pattern.name} of {self.size} pixels"
+
     def phases(self, x: Ints, y: Ints) -> NDArray[np.float32]:
         """u (…) in [0, 1) of pixels, counted from the corner of the canvas."""
         return np.minimum(self.pattern.phase(x, y, self.size), LARGEST_PHASE).astype(np.float32)
@@ -108,6 +111,51 @@ class Weave:
         """Those of the pixels of a window, row by row."""
         row, column = np.divmod(np.arange(window.pixels), window.width)
         return self.phases(column + window.x, row + window.y)
+
+
+@dataclass(frozen=True)
+class Threads:
+    """Which of many terms gives the hue at which phase.
+
+    `m` (n, …): strengths, 0 of what is no thread. `order` (n, …): the terms' numbers, sorted by
+    hue, equal ones by number; `reached` (n, …): their strengths in that order, added up.
+    """
+
+    m: Array
+    order: Ints
+    reached: Array
+
+    @staticmethod
+    def of(p: Array, strengths: Array | None) -> Threads:
+        """p (n, 2, …), m (n, …), None where that is |p|."""
+        m = np.where(chroma(p.swapaxes(0, 1)) > 0, competing(p, strengths), 0)
+        order = np.argsort(np.arctan2(p[:, 1] + 0, p[:, 0]), axis=0, kind="stable")  # no -0
+        return Threads(m, order, np.cumsum(np.take_along_axis(m, order, axis=0), axis=0))
+
+    @property
+    def whole(self) -> Array:
+        """M (…), the strength of all."""
+        return np.asarray(self.reached[-1])
+
+    @property
+    def shares(self) -> Array:
+        """(n, …) in [0, 1]: of how many phases each term is the thread."""
+        return ratio(self.m, self.whole)
+
+    def at(self, phase: Array) -> Ints:
+        """The number (…) of the term that is the thread there."""
+        passed = self.reached > phase.astype(self.m.dtype) * self.whole
+        passed[-1] = True
+        first = passed.argmax(axis=0)[None]
+        return np.asarray(np.take_along_axis(self.order, first, axis=0)[0])
+
+    def middles(self) -> Array:
+        """(n, …): a phase at which each term is the thread, of those that are one."""
+        in_order = np.take_along_axis(self.m, self.order, axis=0)
+        middles = np.empty_like(self.m)
+        middle = ratio(self.reached - in_order / 2, self.whole)
+        np.put_along_axis(middles, self.order, middle, axis=0)
+        return middles
 
 
 def keep_thread(
@@ -127,15 +175,11 @@ def keep_thread(
     """
     assert phase is not None
     size = chroma(p.swapaxes(0, 1))
-    m = np.where(size > 0, competing(p, strengths), 0)
-    order = np.argsort(np.arctan2(p[:, 1] + 0, p[:, 0]), axis=0, kind="stable")  # no -0
-    reached = np.cumsum(np.take_along_axis(m, order, axis=0), axis=0)
-    whole = reached[-1]
-    passed = reached > phase.astype(p.dtype) * whole
-    passed[-1] = True
-    thread = np.take_along_axis(order, passed.argmax(axis=0)[None], axis=0)
+    threads = Threads.of(p, strengths)
+    m, whole = threads.m, threads.whole
+    thread = threads.at(phase)[None]
     p_thread = np.take_along_axis(p, thread[:, None], axis=0)[0]
-    own = _one_hue(p_thread, p.swapaxes(0, 1)) & (size > 0)
+    own = one_hue(p_thread, p.swapaxes(0, 1)) & (size > 0)
     amount = np.where(own, size, 0).sum(axis=0) * ratio(whole, np.where(own, m, 0).sum(axis=0))
     kept = np.zeros_like(m)
     factor = ratio(amount, chroma(p_thread))
@@ -144,7 +188,7 @@ def keep_thread(
     return np.where(alone, 1, kept)
 
 
-def _one_hue(p1: Array, p2: Array) -> NDArray[np.bool_]:
+def one_hue(p1: Array, p2: Array) -> NDArray[np.bool_]:
     """Whether two hues are one but for rounding: p (2, …)."""
     cross, dot = cross_and_dot(p1[:, None], p2)
     return (dot > 0) & (cross <= ROUNDING_ANGLE * dot)

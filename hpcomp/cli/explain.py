@@ -49,6 +49,10 @@ def command(layers: tuple[str, ...], at: str, format: str, **options: Any) -> No
     apart their hues are, and which one dominated. At the end stand the result, the traditional
     result, and what became of the labels.
 
+    With another --strength than chroma, the strength of each colour stands beside its chroma, and
+    the stronger one dominates. With --blending woven, explain prints the colours by hue, each with
+    its share of the strength, and which of them the pattern shows in this pixel.
+
     Chroma is |p|, the distance from the grey axis. Grey is the share of chroma that is cancelled.
     Margin is how far the layer whose hue survived was ahead of the strongest layer of another hue.
 

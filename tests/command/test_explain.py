@@ -8,12 +8,14 @@ import re
 
 import exrfile
 import numpy as np
+import oracle
 import pytest
 from command import Desk
 from PIL import Image
 from strategies import color_of
 
 import hpcomp
+from hpcomp.blending.weaving import noise_tile
 from hpcomp.engine import choice as engine
 from hpcomp.errors import HpcompWarning, MismatchError, SettingError
 from hpcomp.imagefile.reading import LayerReader
@@ -130,6 +132,44 @@ def test_the_first_failure_is_that_of_the_first_layer(files):
 
 
 # ---- what it says --------------------------------------------------------------------------------
+
+
+WOVEN = [
+    {"weave": weave, "weave_size": size, **more}
+    for (weave, size), more in itertools.product(
+        (("stripes", 2), ("stripes", 3), ("stripes", 8), ("noise", 2), ("noise", 3)),
+        (
+            {},
+            {"strength": "coverage", "background": "#2288dd", "exposure": -1.5, "op": "xor"},
+            {"strength": "perceived", "space": "oklab", "canvas": "11x9-3-2"},
+            {"strength": "coverage", "overscan": True, "canvas": "3x2+1+1"},
+        ),
+    )
+]
+
+
+@pytest.mark.filterwarnings("ignore")  # of colours that a PNG cannot hold, layers outside the canvas
+@pytest.mark.parametrize("rules", WOVEN, ids=str)
+def test_a_woven_pixel_is_what_stack_writes_there(files, each_engine, rules):
+    """The pattern is counted from the corner of the canvas, whatever part of it is made."""
+    rules = {"blending": "woven", **rules}
+    hpcomp.stack(files, "out.exr", depth="float", **rules)
+    written = hpcomp.read_layer("out.exr")
+    left, top = written.data_window.x, written.data_window.y
+    hpcomp.stack(files, "part.exr", depth="float", region="2x1+2+2", **rules)
+    part = hpcomp.read_layer("part.exr")
+    assert part.data_window == hpcomp.Window(2, 2, 2, 1)
+    chosen = set()
+    for y, x in itertools.product(*(range(n) for n in written.pixels.shape[:2])):
+        at = left + x, top + y
+        pixel = hpcomp.explain(files, at, **rules)
+        assert pixel.result.rgba == tuple(written.pixels[y, x].tolist())
+        chosen.add(pixel.weaving.chosen)
+        if part.data_window.contains(hpcomp.Window(*at, 1, 1)):
+            there = hpcomp.explain(files, at, region="2x1+2+2", **rules)
+            assert there == pixel
+            assert there.result.rgba == tuple(part.pixels[y + top - 2, x + left - 2].tolist())
+    assert len(chosen) > 1
 
 
 @pytest.fixture
@@ -259,6 +299,192 @@ def test_a_bias_against_grey_shows_in_steps_and_in_shares(labels):
     assert [r.share for r in pixel.rivalries] == pytest.approx([15 / 16, 0], abs=1e-6)
     assert pixel.result.chroma == pytest.approx(0.2 * 15 / 16, abs=1e-6)
     assert "gray bias" not in report.as_text(hpcomp.explain(files, (0, 0), op="plus"))
+
+
+PLAIN = 16, 5
+STRENGTHS = ("chroma", "perceived", "coverage")
+
+
+@pytest.fixture
+def plain(tmp_path, monkeypatch):
+    """Float layers of one colour each: of these straight colours and alphas, so many of which add."""
+    monkeypatch.chdir(tmp_path)
+
+    def make(*colors):
+        names = []
+        for number, (rgb, alpha) in enumerate(colors):
+            rgba = np.tile(np.float32([*(alpha * np.array(rgb)), alpha]), (*PLAIN[::-1], 1))
+            hpcomp.write_image(f"p{number}.exr", rgba, depth="float")
+            names.append(f"p{number}.exr")
+        return names
+
+    return make
+
+
+#: A vivid one that covers little, and a pale one that covers all: strength decides who wins.
+VIVID, PALE = (color_of(0, 0.3, 0.2), 0.25), (color_of(120, 0.05, 0.5), 1.0)
+
+
+@pytest.mark.parametrize(("strength", "wins"), [("chroma", 0), ("perceived", 0), ("coverage", 1)])
+def test_strength_decides_who_dominates(plain, strength, wins):
+    files = plain(VIVID, PALE)
+    rules = {"op": "plus", "strength": strength}
+    pixel = hpcomp.explain(files, (3, 2), **rules)
+    (step,) = pixel.meetings
+    assert step.dominant == wins + 1
+    assert pixel.result.survivor == wins
+    text = report.as_text(pixel)
+    assert f": {wins} dominates; " in text
+    if strength == "chroma":
+        assert [layer.weighted_strength for layer in pixel.layers] == [None, None]
+        assert "strength" not in text
+        return
+    m = [oracle.strength_of(strength, (*(alpha * np.array(rgb)),), alpha) for rgb, alpha in (VIVID, PALE)]
+    assert [layer.weighted_strength for layer in pixel.layers] == pytest.approx(m, rel=1e-4)
+    assert (step.strength_first, step.strength_second) == pytest.approx(m, rel=1e-4)
+    assert step.strength == pytest.approx(max(m) - min(m), rel=1e-4)
+    kept = 1 - min(m) / max(m)
+    assert step.chroma == pytest.approx(kept * pixel.layers[wins].weighted_chroma, rel=1e-4)
+    assert f"strength {m[0]:.4f} and {m[1]:.4f} become {step.strength:.4f}, chroma" in text
+    assert f", strength {strength}, " in text.splitlines()[1]
+
+
+def test_strengths_are_weighted_as_they_compete(plain):
+    files = plain(VIVID, PALE)
+    files[1] += "::opacity=0.5"
+    pixel = hpcomp.explain(files, (0, 0), strength="coverage", background="#3366cc")
+    alone = hpcomp.explain(files[:1], (0, 0), strength="coverage")
+    vivid, pale = pixel.layers
+    assert vivid.weighted_strength == pytest.approx(0.5 * alone.layers[0].weighted_strength)
+    assert pixel.background.weight == pytest.approx(0.5 * 0.75)
+    whole = oracle.strength_of("coverage", pixel.background.rgb, 1.0)
+    assert pixel.background.weighted_strength == pytest.approx(0.5 * 0.75 * whole, rel=1e-5)
+    last = pixel.meetings[-1]
+    assert last.strength_second == pytest.approx(pixel.background.weighted_strength)
+    data = report.as_data(pixel)
+    assert data["strength"] == "coverage"
+    assert data["background"]["weighted_strength"] == pixel.background.weighted_strength
+    assert [row["weighted_strength"] for row in data["layers"]] == [vivid.weighted_strength, pale.weighted_strength]
+
+
+def test_chroma_decides_between_colours_of_no_strength(plain):
+    """Light at alpha 0 covers nothing."""
+    glow = [np.float32([[[*color_of(hue, m, 0.2), 0.0]]]) for hue, m in ((0, 0.1), (120, 0.3))]
+    for number, rgba in enumerate(glow):
+        hpcomp.write_image(f"glow{number}.exr", rgba, depth="float")
+    plain()
+    pixel = hpcomp.explain(["glow0.exr", "glow1.exr"], (0, 0), op="plus", strength="coverage")
+    (step,) = pixel.meetings
+    assert (step.strength_first, step.strength_second, step.dominant) == (0, 0, 2)
+    assert pixel.result.survivor == 1
+
+
+@pytest.mark.parametrize("strength", STRENGTHS)
+def test_rivals_are_those_of_the_strength(plain, strength):
+    files = plain(VIVID, PALE, (color_of(230, 0.1, 0.3), 0.6))
+    pixel = hpcomp.explain(files, (0, 0), op="plus", order="simultaneous", strength=strength)
+    directions = np.radians([0, 120, 230])
+    left = [r.share * pixel.layers[r.number].weighted_chroma for r in pixel.rivalries]
+    p = [sum(m * turn(angle) for m, angle in zip(left, directions, strict=True)) for turn in (np.cos, np.sin)]
+    assert math.hypot(*p) == pytest.approx(pixel.result.chroma, rel=1e-4)
+    strongest = max(range(3), key=lambda n: pixel.layers[n].weighted_strength or pixel.layers[n].weighted_chroma)
+    assert max(pixel.rivalries, key=lambda r: r.share).number == strongest
+
+
+# ---- woven ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("strength", STRENGTHS)
+@pytest.mark.parametrize(("weave", "size"), [("stripes", 8), ("stripes", 5), ("noise", 2)])
+def test_the_pattern_says_whose_thread_a_pixel_is(plain, weave, size, strength):
+    files = plain(VIVID, PALE)
+    tile = noise_tile().astype(int).tolist()
+    rules = {"op": "plus", "blending": "woven", "weave": weave, "weave_size": size, "strength": strength}
+    seen = set()
+    for y, x in itertools.product(range(PLAIN[1]), range(PLAIN[0])):
+        pixel = hpcomp.explain(files, (x, y), **rules)
+        u = oracle.stripes(x, y, size) if weave == "stripes" else oracle.noise(x, y, size, tile)
+        weaving = pixel.weaving
+        assert weaving.phase == pytest.approx(u, abs=1e-7)
+        m = [layer.weighted_strength or layer.weighted_chroma for layer in pixel.layers]
+        shares = {thread.number: thread.share for thread in weaving.threads}
+        assert shares == pytest.approx({0: m[0] / sum(m), 1: m[1] / sum(m)}, rel=1e-5)
+        first, second = weaving.threads
+        assert (first.begin, second.begin) == pytest.approx((0, first.share), abs=1e-6)
+        expected = first if u < first.share else second
+        assert weaving.chosen == (expected.number,)
+        assert pixel.result.survivor == expected.number
+        assert pixel.result.hue == pytest.approx(expected.hue, abs=1e-2)
+        assert (weaving.share, weaving.one_hue) == (expected.share, False)
+        assert pixel.meetings == pixel.rivalries == ()
+        seen.add(expected.number)
+    assert seen == {0, 1}
+    what = {"chroma": "chroma", "perceived": "strength", "coverage": "coverage"}[strength]
+    text = report.as_text(pixel)
+    label = pixel.layers[expected.number].label
+    share, u = weaving.share, weaving.phase
+    assert f"this pixel is the thread of {label}: {share:.0%} of the {what}, phase {u:.2f}" in text
+    assert f"{weave} of {size} pixels have phase {u:.3f} here: {expected.number}" in text
+    assert text.splitlines()[1].startswith(f"woven, {weave} of {size} pixels, space linear-rgb")
+    data = report.as_data(pixel)
+    assert (data["weave"], data["weave_size"]) == (weave, size)
+    assert data["weaving"]["chosen"] == [expected.number]
+    assert data["meaning"] in text.splitlines()
+
+
+def test_one_hue_is_plain_addition(plain):
+    files = plain(VIVID, (color_of(0, 0.1, 0.4), 0.5), (color_of(0, 0.0, 0.4), 0.5))
+    pixel = hpcomp.explain(files, (3, 2), blending="woven")
+    assert pixel.weaving.one_hue
+    assert sorted(pixel.weaving.chosen) == [0, 1]
+    assert pixel.weaving.share == pytest.approx(1)
+    assert pixel.result.rgba == pixel.traditional.rgba
+    text = report.as_text(pixel)
+    says = "only one hue here, that of layer 0 (p0.exr) and layer 1 (p1.exr): plain +"
+    assert says in text.splitlines()
+    grey = hpcomp.explain(files[2:], (3, 2), blending="woven")
+    assert grey.weaving.threads == ()
+    assert "none: no colour here has a hue" in report.as_text(grey)
+    assert "no layer brings any chroma here" in report.as_text(grey)
+
+
+def test_the_background_is_a_thread(plain):
+    files = plain(((0.8, 0.1, 0.1), 0.5))
+    found = [hpcomp.explain(files, (x, 0), blending="woven", background="#0000ff") for x in range(16)]
+    assert {pixel.weaving.chosen for pixel in found} == {(0,), (None,)}
+    for pixel in found:
+        of_layer = pixel.weaving.chosen == (0,)
+        assert pixel.result.kind == ("layer" if of_layer else "background")
+        text = report.as_text(pixel)
+        assert f"is the thread of {'layer 0 (p0.exr)' if of_layer else 'the background'}: " in text
+        assert report.as_data(pixel)["weaving"]["chosen"] == [0 if of_layer else "background"]
+
+
+def test_what_the_gamut_takes_of_a_thread_is_said(plain):
+    """A dark blue beside a bright yellow: blue has no chroma of all at the luminance of both."""
+    files = plain(((1.0, 0.9, 0.0), 1.0), ((0.0, 0.0, 1.0), 0.5))
+    taken = {}
+    for x in range(16):
+        pixel = hpcomp.explain(files, (x, 0), blending="woven")
+        whole = sum(layer.weighted_chroma for layer in pixel.layers)
+        assert pixel.weaving.bound == pytest.approx(1 - pixel.result.chroma / whole, abs=1e-5)
+        taken[pixel.weaving.chosen] = pixel.weaving.bound
+        says = f"the gamut has no room for {pixel.weaving.bound:.0%} of its chroma"
+        assert (says in report.as_text(pixel)) == (pixel.weaving.bound > 0)
+    assert taken[(1,)] > 0.2
+
+
+def test_every_key_of_the_data_is_explained(files):
+    documented = ", ".join(report.JSON_KEYS).split(", ")
+    for rules in ({}, {"order": "simultaneous"}, {"blending": "woven", "background": "#123"}):
+        data = report.as_data(hpcomp.explain(files, (3, 2), **rules))
+        assert set(data) == set(documented)
+        meanings = {name: meaning for names, meaning in report.JSON_KEYS.items() for name in names.split(", ")}
+        for name, value in data.items():
+            rows = value if isinstance(value, list) else [value]
+            for row in rows:
+                for key in row if isinstance(row, dict) else ():
+                    assert f"`{key}`" in meanings[name] + (meanings["layers"] if name == "background" else "")
 
 
 @pytest.mark.parametrize(
