@@ -16,16 +16,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..blending.addition import chroma, shoulder
+from ..blending.blendings import BLENDINGS
 from ..blending.rules import StackRules
+from ..blending.weaving import Threads, Weave
 from ..color.css import css_color, css_title
 from ..color.difference import contrast, difference
 from ..color.planes import cross_and_dot, is_saturated, saturation, spread_and_size
 from ..engine.arrays import composite
 from ..errors import MismatchError, SettingError
+from ..geometry import Window
 from ..layers.layerspec import LayerSpec
 from ..layers.placing import Layer
 from ..measures.defaults import DEFAULT_ACHROMATIC
-from ..measures.labels import measure_settings
+from ..measures.labels import contributors, measure_settings, summed
 from ..options import ResourceOptions, RuleOptions, older_spelling, stack_rules
 from ..system.streams import STDIN, STDOUT
 from .hues import images_to_measure, read_hues
@@ -78,6 +81,20 @@ class Label:
 
 
 @dataclass(frozen=True, eq=False)
+class Thread:
+    """What a woven blend shows of one of two labels, over the opacities of a `Profile`.
+
+    `label`: its number. `rgb` (steps, 3): linear. `hues` (steps,): degrees, NaN where grey.
+    `share` (steps,): of the pixels.
+    """
+
+    label: int
+    rgb: Floats
+    hues: Floats
+    share: Floats
+
+
+@dataclass(frozen=True, eq=False)
 class Profile:
     """One label over another, both opaque, while the front one's opacity goes from 0 to 1.
 
@@ -85,6 +102,9 @@ class Profile:
     shares of opacities at which the hue is neither label's, and at which there is none. `left`:
     the chroma at its least, as a share of what the two bring there; None where they bring none.
     `least_at`: the opacity of that, None where nothing is lost; `turns_grey`: whether it is a grey.
+    `threads`: of a woven blend, in the order of their phases. Then `rgb` and `hues` are of the mean
+    of the pixels, as it is seen from afar, and all else is of the threads: chroma is the mean of
+    theirs, a foreign hue is that of any, and a grey one that of both.
     """
 
     rgb: Floats
@@ -94,14 +114,15 @@ class Profile:
     left: float | None
     least_at: float | None
     turns_grey: bool
+    threads: tuple[Thread, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
 class Pair:
     """The label `front` over the label `back`, numbers both, in both ways of blending.
 
-    `angle`: degrees between their p vectors, None where one is grey. `equality`: how far ⊕ takes
-    their hues for one, 0 to 1.
+    `angle`: degrees between their p vectors, None where one is grey. `equality`: how far blending
+    takes their hues for one, 0 to 1; woven, it tells all hues apart that are not equal.
     """
 
     back: int
@@ -117,13 +138,15 @@ class OnBackground:
     """A label at the opacity of the settings over the background, blended in one way.
 
     `rgb`: linear. `difference`: from the background, in Oklab. `contrast`: of luminances, 1 to 21.
-    `keeps_hue`: whether the hue is the label's; None where the label has none.
+    `keeps_hue`: whether the hue is the label's; None where the label has none. `share`: of the
+    pixels that look so, where the blend is woven with a background that has a hue; else 1.
     """
 
     rgb: tuple[float, float, float]
     difference: float
     contrast: float
     keeps_hue: bool | None
+    share: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -233,6 +256,9 @@ class Palette:
         steps = _MIXTURE_STEPS if len(triples) <= _MANY_TRIPLES else _FEWER_MIXTURE_STEPS
         weights = _lattice(steps)
         for triple in triples:
+            if BLENDINGS[blending].depends_on_place:
+                yield from self._threads_of_mixtures(triple, weights)
+                continue
             layers = np.zeros((n, len(weights), 4), np.float32)
             for weight, member in zip(weights.T, triple, strict=True):
                 if member < n:
@@ -245,6 +271,42 @@ class Palette:
             )
             rgb = np.ascontiguousarray(rgba[:, :3].T)
             yield self.stack.space.forward(rgb)[1], rgb
+
+    def _threads_of_mixtures(
+        self, triple: Sequence[int], weights: Floats
+    ) -> Iterator[tuple[Floats, Floats]]:
+        """What each of three colours, the background among them, shows of their mixtures."""
+        n = len(self.labels)
+        members = [self.labels[k].rgb if k < n else self.settings.background for k in triple]
+        layers = [
+            weight[:, None] * np.array([*color, 1.0])
+            for weight, color in zip(weights.T, members, strict=True)
+        ]
+        rules = {name: value for name, value in self.rules.items() if name != "order"}
+        stack = stack_rules(len(layers), op="plus", **rules)
+        rgb, share = thread_colors(stack, layers)
+        for colors, part in zip(rgb, share, strict=True):
+            shown = np.ascontiguousarray(colors[part > 0].T)
+            yield self.stack.space.forward(shown)[1], shown
+
+
+def patch(profile: Profile, weave: Weave, width: int, height: int) -> tuple[Floats, Floats]:
+    """A blend as pixels: rgb (height, width, 3), linear, and hues (height, width), NaN where grey.
+
+    The front label's opacity goes from 0 at the left to 1 at the right. What is woven has its
+    pattern, one pixel for one of the picture.
+    """
+    steps = len(profile.rgb) - 1
+    at = np.rint((np.arange(width) + 0.5) / width * steps).astype(np.intp)
+    rgb = np.broadcast_to(profile.rgb[at], (height, width, 3))
+    hues = np.broadcast_to(profile.hues[at], (height, width))
+    if profile.threads:
+        first, second = profile.threads
+        u = weave.phases_in(Window(0, 0, width, height)).reshape(height, width)
+        of_first = first.share[at] > u
+        rgb = np.where(of_first[..., None], first.rgb[at], second.rgb[at])
+        hues = np.where(of_first, first.hues[at], second.hues[at])
+    return rgb, hues
 
 
 def _lattice(steps: int) -> Floats:
@@ -290,8 +352,9 @@ def palette(
         if name in rules:
             raise SettingError(f"'{name}' says nothing of a palette: leave it out")
     named = [_named(color) for color in colors]
+    of_one = {name: value for name, value in rules.items() if name != "order"}
     reading: dict[str, Any] = {
-        "space": rules.get("space", RuleOptions.space),
+        "space": stack_rules(1, **of_one).space.name,
         "achromatic": achromatic,
         "strict": strict,
         "max_pixels": max_pixels,
@@ -376,6 +439,41 @@ def _labels_of(spec: LayerSpec, reading: dict[str, Any]) -> list[_Named]:
 # --- blending -------------------------------------------------------------------------------------
 
 
+def thread_colors(rules: StackRules, layers: Sequence[Floats]) -> tuple[Floats, Floats]:
+    """What a woven stack shows in pixels (n, 4) of its layers, and of its background, the last.
+
+    rgb (terms, n, 3), linear, of each term's thread; and its share (terms, n) of the phases, 0
+    where it has none. Where none has any, as of greys, the first stands for all.
+    """
+    terms = contributors(rules, layers)
+    threads = Threads.of(terms.p, terms.strength)
+    luminance = summed(terms.luminance)
+    rgb = [
+        rules.space.inverse(luminance, replace(terms, phase=phase).reduced(rules)).T
+        for phase in threads.middles()
+    ]
+    shares = threads.shares
+    shares[0] += threads.whole == 0
+    return np.stack(rgb), shares
+
+
+@dataclass(frozen=True)
+class _Blends:
+    """Pairs at opacities: the colours `rgb` (parts, pairs, n, 3) that are side by side, linear.
+
+    `share` (parts, pairs, n): of the pixels. There is one part, of share 1, but for what is woven.
+    """
+
+    rgb: Floats
+    share: Floats
+
+    @property
+    def mean(self) -> Floats:
+        """(pairs, n, 3)."""
+        mean: Floats = (self.share[..., None] * self.rgb).sum(axis=0)
+        return mean
+
+
 @dataclass(frozen=True)
 class _Work:
     """Blends labels by the rules, all in doubles."""
@@ -409,7 +507,8 @@ class _Work:
         both = np.array(list(permutations(range(len(self.named)), 2)))
         p = self._p(self._colors())
         backs, fronts = p[:, both[:, 0]], p[:, both[:, 1]]
-        equality = shoulder(backs, fronts, self.stack.hue_tolerance)
+        woven = self.stack.blending.depends_on_place
+        equality = shoulder(backs, fronts, 0.0 if woven else self.stack.hue_tolerance)
         traditional, result = (self._profiles(both, blending) for blending in self.blendings)
         has_hue = ~np.isnan(self._hues(self._colors()))
         for k, (back, front) in enumerate(both.tolist()):
@@ -432,8 +531,7 @@ class _Work:
         blends = {}
         for blending in self.blendings:
             layer = self.settings.opacity * np.append(color, 1.0)
-            rgba = composite([layer], background=tuple(below), **self._rules(blending))
-            rgb = rgba[:3]
+            rgb, share = self._over_background(layer, blending)
             luminance, p = self.stack.space.forward(rgb[:, None])
             keeps = None
             if has_hue:
@@ -444,8 +542,19 @@ class _Work:
                 difference=float(difference(rgb, below)),
                 contrast=float(contrast(luminance[0], y_below[0])),
                 keeps_hue=keeps,
+                share=share,
             )
         return blends
+
+    def _over_background(self, layer: Floats, blending: str) -> tuple[Floats, float]:
+        """A layer (4) over the background: its colour (3), of that share of the pixels."""
+        rules = {"background": tuple(self.settings.background), **self._rules(blending)}
+        if BLENDINGS[blending].depends_on_place:
+            colors, shares = thread_colors(stack_rules(1, **rules), [layer[None]])
+            if shares[0, 0] > 0:  # else the background gives the hue of all
+                return colors[0, 0], float(shares[0, 0])
+        rgb: Floats = composite([layer], **rules)[:3]
+        return rgb, 1.0
 
     def _colors(self) -> Floats:
         return np.array([rgb for _, rgb in self.named])
@@ -467,34 +576,40 @@ class _Work:
         kept = {name: value for name, value in self.rules.items() if name != "order"}
         return {**kept, "blending": blending}
 
-    def _blended(self, both: NDArray[np.intp], opacities: Floats, blending: str) -> Floats:
-        """Opaque fronts over opaque backs: (pairs, 2), (pairs, n) → rgb (pairs, n, 3)."""
+    def _blended(self, both: NDArray[np.intp], opacities: Floats, blending: str) -> _Blends:
+        """Opaque fronts over opaque backs: (pairs, 2), opacities (pairs, n)."""
         opaque = np.concatenate([self._colors(), np.ones((len(self.named), 1))], axis=1)
         backs = np.broadcast_to(opaque[both[:, 0], None], (*opacities.shape, 4))
         fronts = opaque[both[:, 1], None] * opacities[..., None]
-        return composite([backs, fronts], **self._rules(blending))[..., :3]
+        if not BLENDINGS[blending].depends_on_place:
+            rgb = composite([backs, fronts], **self._rules(blending))[..., :3]
+            return _Blends(rgb[None], np.ones((1, *opacities.shape)))
+        rules = stack_rules(2, **self._rules(blending))
+        colors, share = thread_colors(rules, [backs.reshape(-1, 4), fronts.reshape(-1, 4)])
+        return _Blends(colors.reshape(2, *opacities.shape, 3), share.reshape(2, *opacities.shape))
 
-    def _left(self, both: NDArray[np.intp], opacities: Floats, rgb: Floats) -> Floats:
+    def _left(self, both: NDArray[np.intp], opacities: Floats, blends: _Blends) -> Floats:
         """(pairs, n): what of the chroma that two labels bring their blend has; 1 of nothing."""
         m = chroma(self._p(self._colors()))
         brought = (1 - opacities) * m[both[:, :1]] + opacities * m[both[:, 1:]]
         left = np.ones_like(brought)
-        return np.divide(chroma(self._p(rgb)), brought, out=left, where=brought > 1e-12)
+        there = (blends.share * chroma(self._p(blends.rgb))).sum(axis=0)
+        return np.divide(there, brought, out=left, where=brought > 1e-12)
 
     def _profiles(self, both: NDArray[np.intp], blending: str) -> list[Profile]:
         steps = np.linspace(0, 1, PROFILE_STEPS)
-        rgb = self._blended(both, np.broadcast_to(steps, (len(both), len(steps))), blending)
-        hues = self._hues(rgb)
-        p, own = self._p(rgb), self._p(self._colors())
+        opacities = np.broadcast_to(steps, (len(both), len(steps)))
+        blends = self._blended(both, opacities, blending)
+        rgb, hues, there = blends.mean, self._hues(blends.rgb), blends.share > 0
+        p, own = self._p(blends.rgb), self._p(self._colors())
         near = np.zeros(hues.shape, bool)
         for side in (0, 1):
             labels = own[:, both[:, side], None]
             near |= _angle(p, labels) <= self.settings.foreign_tolerance
-        grey = np.isnan(hues)
-        foreign = ~grey & ~near
+        grey = np.logical_and.reduce(np.isnan(hues) | ~there, axis=0)
+        foreign = np.logical_or.reduce(there & ~np.isnan(hues) & ~near, axis=0)
 
-        opacities = np.broadcast_to(steps, hues.shape)
-        left = self._left(both, opacities, rgb)
+        left = self._left(both, opacities, blends)
         width = 1 / (PROFILE_STEPS - 1)
         rows = np.arange(len(both))
         for _ in range(_ROUNDS):
@@ -504,8 +619,10 @@ class _Work:
             width *= 2 / (_ROUND_STEPS - 1)
         at = left.argmin(axis=1)
         best, least = opacities[rows, at], left[rows, at]
-        least_rgb = self._blended(both, best[:, None], blending)[:, 0]
-        turns = np.isnan(self._hues(least_rgb))
+        leasts = self._blended(both, best[:, None], blending)
+        gone = np.isnan(self._hues(leasts.rgb)) | (leasts.share == 0)
+        turns = np.logical_and.reduce(gone, axis=0)[:, 0]
+        seen = self._hues(rgb)
         has_hue = ~np.isnan(self._hues(self._colors()))
         profiles = []
         for k, (back, front) in enumerate(both.tolist()):
@@ -514,15 +631,29 @@ class _Work:
             profiles.append(
                 Profile(
                     rgb=rgb[k],
-                    hues=hues[k],
+                    hues=seen[k],
                     foreign=float(foreign[k].mean()),
                     grey=float(grey[k].mean()),
                     left=float(min(least[k], 1.0)) if brings else None,
                     least_at=float(best[k]) if brings and lost else None,
                     turns_grey=bool(has_hue[back] and has_hue[front] and lost and turns[k]),
+                    threads=self._threads(both[k], blends, hues, k),
                 )
             )
         return profiles
+
+    def _threads(
+        self, pair: NDArray[np.intp], blends: _Blends, hues: Floats, k: int
+    ) -> tuple[Thread, ...]:
+        """Those of pair `k`, sorted by hue; none where the blends have one part."""
+        if len(blends.rgb) == 1:
+            return ()
+        p = self._p(self._colors())
+        sides = sorted((0, 1), key=lambda side: math.atan2(p[1, pair[side]] + 0, p[0, pair[side]]))
+        return tuple(
+            Thread(int(pair[side]), blends.rgb[side, k], hues[side, k], blends.share[side, k])
+            for side in sides
+        )
 
 
 def _angle(p1: Floats, p2: Floats) -> Floats:

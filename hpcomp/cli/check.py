@@ -20,9 +20,24 @@ from .words import Layer
 #: The options of a stack that change what is measured, and what that may take.
 CHECKED = (
     *("foreign_tolerance", "achromatic"),
-    *("op", "space", "primaries", "hue_tolerance", "exposure", "region", "canvas", "background"),
+    *(
+        "op",
+        "preset",
+        "space",
+        "primaries",
+        "hue_tolerance",
+        "exposure",
+        "region",
+        "canvas",
+        "background",
+    ),
     *("nonfinite", "strict", "threads", "max_memory", "max_pixels"),
 )
+
+HELP = {
+    **NEAR_A_LAYER,
+    "preset": "A set of choices of stack, of which the space and the hue tolerance count here.",
+}
 
 SHORT_HELP = "Fail if a picture has lost the hues of its layers."
 
@@ -72,7 +87,7 @@ SHORT_HELP = "Fail if a picture has lost the hues of its layers."
     help="Fail if a layer is visible in less of its pixels: 95% for every layer that contributes "
     "anywhere, layer:1=90% or layer:NAME=90% for one. May be repeated.",
 )
-@stack_options(*CHECKED, help=NEAR_A_LAYER)
+@stack_options(*CHECKED, help=HELP)
 @other_options(*CHECKED, "depfile", "depfile_target")
 @format_option
 @depfile_options

@@ -37,9 +37,14 @@ COLOR is a CSS colour such as orange or #e41a1c, or NAME=COLOR, 2 to 24 of them.
 shell an unquoted # begins a comment. The # can be left out. --from takes labels from layer files.
 
 palette puts every label over every other one at opacities from 0 to 1, in traditional blending and
-with ⊕. For each pair it prints the angle between the hues, the share of the opacities at which the
-blend has a foreign hue, which is neither label's, the opacity at which the blend has least chroma,
-and how much chroma is left there. The pair that goes grey at the least opacity comes first.
+with ⊕, or as --blending says. For each pair it prints the angle between the hues, the share of the
+opacities at which the blend has a foreign hue, which is neither label's, the opacity at which the
+blend has least chroma, and how much chroma is left there. The pair that goes grey at the least
+opacity comes first.
+
+A woven blend is no one colour. For each pair palette prints the colour of each label's thread and
+its share of the pixels, with the front label half opaque; the figure shows the pattern itself.
+Foreign hues, least chroma and labels on the background are measured of the threads.
 
 The figure has a bar for each pair, with its hue alone below it, as in the paper's Figure 4. Its
 discs show, as in Figure 6, all that any stack of the labels can give at any opacities: angle is

@@ -117,9 +117,11 @@ class PicturePlan:
     def in_words(self) -> str:
         """The canvas and the rules, as a log shows them."""
         rules = self.rules
+        woven = rules.blending.depends_on_place
+        how = str(rules.weave) if woven else f"order {rules.order.name}"
         return (
-            f"canvas {self.canvas}, {rules.blending.name}, order {rules.order.name}, "
-            f"space {rules.space.name}, primaries {rules.primaries.name}"
+            f"canvas {self.canvas}, {rules.blending.name}, {how}, space {rules.space.name}, "
+            f"strength {rules.strength.name}, primaries {rules.primaries.name}"
         )
 
     @contextlib.contextmanager

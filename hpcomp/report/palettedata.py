@@ -30,19 +30,24 @@ _DIGITS = 7
 JSON_KEYS: dict[str, str] = {
     "schema": '"hpcomp.palette".',
     "version": "Of the schema, 1: it grows when a key changes its meaning or goes.",
-    "rules": "What decides how colours are added, such as `blending`, `order` and `space`.",
+    "rules": "What decides how colours are added, such as `blending`, `order` and `space`; "
+    "`weave` and `weave_size` where they are woven, and then no `order` and no `gray_bias`.",
     "settings": "What findings are measured by: the options of the command, and the "
     "`foreign_tolerance` in degrees.",
     "labels": "A list, in the order given: `name`; the colour as `rgb`, linear, and as `srgb`, "
     "`#rrggbb`; `hue` in degrees, null for a grey; `chroma`, |p| in the blending space; "
     "`luminance`; and `on_background`, for each way of blending `srgb`, `difference` from the "
-    "background in Oklab, `contrast` of the luminances and `keeps_hue`.",
+    "background in Oklab, `contrast` of the luminances, `keeps_hue`, and `share`, of the pixels "
+    "that look so: below 1 where the label is woven with a background that has a hue.",
     "pairs": "A list of every label over every other, both opaque: `back` and `front`, numbers in "
     "`labels` from 0; `angle`, degrees between p vectors; `equality`, 1 where the hues count as "
     "equal and 0 where they differ; and for both ways of blending, `traditional` and `result`, "
     "the shares of opacities with a `foreign` hue and with none, `grey`; `left`, the least chroma "
     "as a share of what the two bring; `least_at`, the opacity of the front label there; "
-    "`turns_grey`, whether it is a grey there; and `srgb`, the colours at 17 opacities, 0 to 1.",
+    "`turns_grey`, whether it is a grey there; `srgb`, the colours at 17 opacities, 0 to 1; and "
+    "`threads`, of woven blends alone: a list of two, each the `label`, by number, its `share` of "
+    "the pixels at those opacities, and its `srgb` there. Then `srgb` of the whole is the mean of "
+    "the pixels in linear light, and the other values are of the threads.",
     "findings": "A list: the `kind`, `no-hue`, `close-hues`, `vanishes`, `hue-lost` or "
     "`goes-grey`; the `labels`, by number; the `blendings` in which it is so; what was `measured`, "
     "beyond which `limit`; and a `message`. Of `goes-grey` the first label is the back one.",
@@ -93,6 +98,7 @@ def as_data(palette: Palette) -> dict[str, Any]:
                         "difference": _rounded(on.difference),
                         "contrast": _rounded(on.contrast),
                         "keeps_hue": on.keeps_hue,
+                        "share": _rounded(on.share),
                     }
                     for name, on in palette.on_background[number].items()
                 },
@@ -116,19 +122,24 @@ def as_data(palette: Palette) -> dict[str, Any]:
 
 def rules_data(palette: Palette) -> dict[str, str | float]:
     """What of a stack's rules holds for a palette, by name, as text and numbers."""
-    of_layers = {"operators", "opacities", "background", "exposure"}
+    woven = palette.stack.blending.depends_on_place
+    elsewhere = {"operators", "opacities", "background", "exposure", "weave"}
+    if woven:
+        elsewhere |= {"order", "gray_bias"}  # they have no part in it
     rules = {f.name: getattr(palette.stack, f.name) for f in fields(palette.stack)}
-    return {
+    data = {
         name: value if isinstance(value, (str, float)) else str(getattr(value, "name", value))
         for name, value in rules.items()
-        if name not in of_layers
+        if name not in elsewhere
     }
+    weave = palette.stack.weave
+    return {**data, **({"weave": weave.pattern.name, "weave_size": weave.size} if woven else {})}
 
 
 def rules_sentence(rules: Mapping[str, str | float]) -> str:
     """Rules as people read them."""
     return ", ".join(
-        f"{name.replace('_', ' ')} {value:g}" if isinstance(value, float) else f"{name} {value}"
+        f"{name.replace('_', ' ')} {value if isinstance(value, str) else format(value, 'g')}"
         for name, value in rules.items()
     )
 
@@ -146,6 +157,14 @@ def _pair_data(palette: Palette, pair: Pair) -> dict[str, Any]:
 
 def _profile_data(palette: Palette, profile: Profile) -> dict[str, Any]:
     every = (len(profile.rgb) - 1) // LISTED_STEPS
+    threads = [
+        {
+            "label": thread.label,
+            "share": _rounded(thread.share[::every].tolist()),
+            "srgb": hex_colors(palette, thread.rgb[::every]),
+        }
+        for thread in profile.threads
+    ]
     return {
         "foreign": _rounded(profile.foreign),
         "grey": _rounded(profile.grey),
@@ -153,6 +172,7 @@ def _profile_data(palette: Palette, profile: Profile) -> dict[str, Any]:
         "least_at": _rounded(profile.least_at, 4),
         "turns_grey": profile.turns_grey,
         "srgb": hex_colors(palette, profile.rgb[::every]),
+        **({"threads": threads} if threads else {}),
     }
 
 
@@ -198,6 +218,7 @@ def sentence(palette: Palette, finding: Finding) -> str:
         # Plain + turns the hue of a stronger label as well, in oklab even on white.
         why = (
             "mixing with the background turns it" if set(finding.blendings) == {TRADITIONAL}
+            else "its thread is next to grey" if palette.stack.blending.depends_on_place
             else "the background's is stronger"
         )  # fmt: skip
         return f"{names[0]} {on} does not have its own hue: {why}{only}"

@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..analysis.palette import Floats, Label, Pair, Palette, Profile
+from ..analysis.palette import Floats, Label, Pair, Palette, Profile, patch
 from ..color.gamut import into_gamut
 from ..color.transfer import encode_srgb
 from ..errors import SettingError, printable
-from .drawing import INK, SMALL, TITLE, Circle, PolyCollection, Sheet, saved
+from .drawing import INK, PNG_DPI, SMALL, TITLE, Circle, PolyCollection, Sheet, saved
 from .look import hue_colors, srgb_hex
 from .palettedata import ALL, hex_colors, rules_data, rules_sentence, shown
 from .paletteformats import PaletteLook
@@ -113,16 +113,22 @@ class _Sheet(Sheet):
         rules.pop("blending")
         given = rules_sentence(rules)
         lines = []
+        woven = self.palette.stack.blending.depends_on_place
         if profiles:
             lines.append(
                 "Blends of two labels, below each its hue alone (grey: none); a triangle is where "
                 "least chroma is left."
             )
+        if profiles and woven:
+            lines.append(
+                f"Woven blends show the pattern, {PNG_DPI} of its pixels to an inch; both threads "
+                "count for the least chroma."
+            )
         if self.left_out:
             lines.append(f"{self.left_out} pairs that keep more are left out.")
         if discs:
             lines.append(
-                "Discs: every mixture on "
+                f"Discs: every mixture{', woven every thread of each,' if woven else ''} on "
                 f"{srgb_hex(self.palette.settings.background)}, the brightest of each place; "
                 f"angle is hue, radius is chroma, |p| = {self._radius:.2g} at the edge."
             )
@@ -183,17 +189,21 @@ class _Sheet(Sheet):
 
     def _bar(self, profile: Profile, left: float, bottom: float, width: float) -> None:
         """A blend, below it its hue alone, and a triangle where least of its chroma is left."""
-        known = ~np.isnan(profile.hues)
-        hues = np.full((len(profile.hues), 3), _NO_HUE, np.uint8)
-        axis = self.palette.stack.space.hue_axis
-        hues[known] = _straight_codes(axis.color(profile.hues[known]).T)
+        stack = self.palette.stack
+        pixels = len(profile.rgb), 1
+        if profile.threads:  # a pixel of the pattern is one of the figure
+            pixels = round(width * PNG_DPI), round(_BAR * PNG_DPI)
+        rgb, seen = patch(profile, stack.weave, *pixels)
+        known = ~np.isnan(seen)
+        hues = np.full((*seen.shape, 3), _NO_HUE, np.uint8)
+        hues[known] = _straight_codes(stack.space.hue_axis.color(seen[known]).T)
         lowest = bottom - _STRIP - _BETWEEN
         axes = self._axes(left, lowest, width, _BAR + _STRIP + _BETWEEN)
         for codes, low, high in (
-            (self._codes(profile.rgb), bottom - lowest, bottom - lowest + _BAR),
-            (hues, 0, _STRIP),
+            (self._codes(rgb), bottom - lowest, bottom - lowest + _BAR),
+            (hues[: round(_STRIP * PNG_DPI)], 0, _STRIP),
         ):
-            axes.imshow(codes[None], aspect="auto", interpolation="none", extent=(0, 1, low, high))
+            axes.imshow(codes, aspect="auto", interpolation="none", extent=(0, 1, low, high))
         axes.set_xlim(0, 1)
         axes.set_ylim(0, _BAR + _STRIP + _BETWEEN)
         axes.set_axis_off()

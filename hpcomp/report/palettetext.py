@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..analysis.palette import Palette, Profile
+from ..analysis.palette import Palette, Profile, patch
 from ..errors import printable
 from .huetext import PLAIN, colored, encoded
 from .look import hue_colors, srgb_hex
@@ -79,10 +79,13 @@ def _label_lines(palette: Palette, look: PaletteLook) -> list[str]:
 def _pair_lines(palette: Palette, look: PaletteLook) -> list[str]:
     pairs = palette.distinct
     ways = ("traditional", palette.blending)
-    rows = [
+    woven = palette.stack.blending.depends_on_place
+    rows: list[tuple[str, ...]] = [
         ("", "", ways[0], "", ways[1], ""),
         ("back → front", "angle", "foreign", "least chroma", "foreign", "least chroma"),
     ]
+    if woven:
+        rows = [(*rows[0], ""), (*rows[1], "threads at 50%")]
     for pair in pairs:
         back, front = (_name(palette.labels[n].name) for n in (pair.back, pair.front))
         cells = [
@@ -91,7 +94,9 @@ def _pair_lines(palette: Palette, look: PaletteLook) -> list[str]:
             for cell in (f"{profile.foreign:.0%}", _least(profile))
         ]
         angle = "-" if pair.angle is None else f"{pair.angle:.0f}°"
-        rows.append((f"{back} → {front}", angle, *cells))  # type: ignore[arg-type]
+        if woven:
+            cells.append(_threads(palette, pair.result, pair.back))
+        rows.append((f"{back} → {front}", angle, *cells))
     first, second, *lines = _aligned(rows, left=1)
     table = [first, second]
     for pair, line in zip(pairs, lines, strict=True):
@@ -109,8 +114,24 @@ def _pair_lines(palette: Palette, look: PaletteLook) -> list[str]:
         else "Both ways round where they differ."
     )
     caption = ["Opacities of the front label over the opaque back one.", order]
+    if woven:
+        caption.append(
+            "Threads: of each label, its colour and its share of the pixels. Least chroma is the "
+            "mean of theirs."
+        )
     bars = ["Bars: the blend from opacity 0 to 1 above, its hue below."] if look.color else []
     return [*table, *caption, *bars]
+
+
+def _threads(palette: Palette, profile: Profile, back: int) -> str:
+    """The colours that are side by side in the middle, the back label's first."""
+    middle = len(profile.rgb) // 2
+    threads = sorted(profile.threads, key=lambda thread: thread.label != back)
+    return ", ".join(
+        f"{hex_colors(palette, thread.rgb[middle : middle + 1])[0]} {thread.share[middle]:.0%}"
+        for thread in threads
+        if thread.share[middle] > 0
+    )
 
 
 def _least(profile: Profile) -> str:
@@ -125,10 +146,8 @@ def _least(profile: Profile) -> str:
 
 def _bar(palette: Palette, profile: Profile, columns: int) -> str:
     """The blend in the upper halves of characters, its hue in the lower ones."""
-    steps = len(profile.rgb) - 1
-    places = np.rint((np.arange(columns) + 0.5) / columns * steps).astype(int)
-    colors = hex_colors(palette, profile.rgb[places])
-    hues = profile.hues[places]
+    rgb, hues = (row[0] for row in patch(profile, palette.stack.weave, columns, 1))
+    colors = hex_colors(palette, rgb)
     axis = palette.stack.space.hue_axis
     below = np.where(np.isnan(hues), _GREY, hue_colors(axis, np.nan_to_num(hues)))
     cells = [

@@ -19,7 +19,7 @@ from PIL import Image
 from strategies import color_of, valid_colors
 
 import hpcomp
-from hpcomp.analysis.palette import FINDING_KINDS, MOST_LABELS, PROFILE_STEPS
+from hpcomp.analysis.palette import FINDING_KINDS, MOST_LABELS, PROFILE_STEPS, patch
 from hpcomp.cli import cli
 from hpcomp.color.css import css_color
 from hpcomp.color.difference import contrast, difference, oklab
@@ -160,6 +160,195 @@ def test_the_pair_that_goes_grey_soonest_is_first():
     assert all(at <= 0.5 for at in found)
     assert (palette.soonest[0].back, palette.soonest[0].front) == (1, 2)
     assert palette.distinct == palette.soonest  # each is its own reverse backwards
+
+
+# ---- strengths and presets -------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("strength", ["perceived", "coverage"])
+def test_pairs_are_the_sums_by_strength(strength):
+    palette = hpcomp.palette(SET[:3], strength=strength, gray_bias=0.5)
+    for pair in palette.pairs:
+        back, front = (palette.labels[n].rgb for n in (pair.back, pair.front))
+        for step in range(0, PROFILE_STEPS, 16):
+            opacity = step / (PROFILE_STEPS - 1)
+            layers = [(*back, 1.0), (*(opacity * c for c in front), opacity)]
+            literal = oracle.composite_in("linear-rgb", layers, gray_bias=0.5, strength=strength)
+            assert pair.result.rgb[step] == pytest.approx(literal[:3], abs=1e-12)
+    plain = hpcomp.palette(SET[:3], gray_bias=0.5)
+    assert palette.pair(0, 2).result.least_at != pytest.approx(plain.pair(0, 2).result.least_at, abs=1e-3)
+
+
+def test_labels_on_the_background_are_as_strong_as_they_cover():
+    """A pale label over a vivid background: by chroma it loses its hue, by coverage it has it."""
+    labels, rules = ["#c08080", "#ffffff"], {"background": "#00f", "opacity": 0.75}
+    lost = hpcomp.palette(labels, **rules).on_background[0]["hue-preserving"]
+    kept = hpcomp.palette(labels, strength="coverage", **rules).on_background[0]["hue-preserving"]
+    assert (lost.keeps_hue, kept.keeps_hue) == (False, True)
+    layer = tuple(0.75 * np.array([*css_color("#c08080", "label"), 1.0]))
+    literal = oracle.composite_in("linear-rgb", [layer], background=(0, 0, 1), strength="coverage")
+    assert kept.rgb == pytest.approx(literal[:3], abs=1e-12)
+
+
+def test_a_preset_is_its_choices(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    choices = {"space": "oklab", "order": "simultaneous", "strength": "coverage", "gray_bias": 1.0}
+    assert render("json", hpcomp.palette(SET, preset="labels")) == render("json", hpcomp.palette(SET, **choices))
+    pixels = np.zeros((8, 8, 4), np.float32)
+    pixels[:4], pixels[4:] = (0.8, 0.1, 0.1, 1), (0.1, 0.2, 0.9, 1)
+    hpcomp.write_image("two.png", pixels)
+    # Labels of a file are named after hues of the preset's space.
+    by_preset = hpcomp.palette(layers=["two.png"], preset="labels")
+    assert [row.name for row in by_preset.labels] == [
+        row.name for row in hpcomp.palette(layers=["two.png"], space="oklab").labels
+    ]
+    assert by_preset.labels[0].name != hpcomp.palette(layers=["two.png"]).labels[0].name
+
+
+# ---- woven -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("space", "strength", "weave", "size"),
+    [
+        ("linear-rgb", "chroma", "stripes", 8),
+        ("linear-rgb", "coverage", "stripes", 5),
+        ("xyz", "perceived", "noise", 2),
+        ("oklab", "coverage", "noise", 3),
+        ("cielab", "chroma", "stripes", 3),
+    ],
+)
+def test_a_woven_blend_is_what_a_picture_of_it_shows(space, strength, weave, size):
+    """Pixel by pixel: the threads with their shares are all that there is to say."""
+    rules = {"blending": "woven", "space": space, "strength": strength, "weave": weave, "weave_size": size}
+    palette = hpcomp.palette(SET, **rules)
+    for pair in palette.pairs:
+        opacities = np.broadcast_to(np.linspace(0, 1, PROFILE_STEPS), (20, PROFILE_STEPS))
+        opaque = [np.array([*palette.labels[n].rgb, 1.0]) for n in (pair.back, pair.front)]
+        layers = [np.broadcast_to(opaque[0], (*opacities.shape, 4)), opacities[..., None] * opaque[1]]
+        picture = hpcomp.composite(layers, **rules)
+        shown, _ = patch(pair.result, palette.stack.weave, *opacities.shape[::-1])
+        assert shown == pytest.approx(picture[..., :3], abs=1e-9)
+
+
+@pytest.mark.parametrize("strength", ["chroma", "perceived", "coverage"])
+def test_threads_keep_their_hue_and_share_the_pixels_by_strength(strength):
+    palette = hpcomp.palette(SET[:3], blending="woven", strength=strength)
+    steps = np.linspace(0, 1, PROFILE_STEPS)
+    for pair in palette.pairs:
+        threads = {thread.label: thread for thread in pair.result.threads}
+        assert set(threads) == {pair.back, pair.front}
+        colors = {n: np.array(palette.labels[n].rgb) for n in threads}
+        m = {n: oracle.strength_of(strength, tuple(color), 1.0) if strength != "chroma"
+             else palette.labels[n].chroma for n, color in colors.items()}  # fmt: skip
+        front = steps * m[pair.front] / (steps * m[pair.front] + (1 - steps) * m[pair.back])
+        assert threads[pair.front].share == pytest.approx(front, abs=1e-9)
+        assert threads[pair.back].share == pytest.approx(1 - front, abs=1e-9)
+        mixed = np.outer(1 - steps, colors[pair.back]) + np.outer(steps, colors[pair.front])
+        for number, thread in threads.items():
+            there = thread.share > 0
+            assert thread.rgb[there] @ oracle.WEIGHTS == pytest.approx(mixed[there] @ oracle.WEIGHTS, abs=1e-9)
+            assert thread.rgb.min() >= -1e-9
+            assert thread.rgb.max() <= 1 + 1e-9
+            own = p_of([palette.labels[number].rgb])[:, 0]
+            away = [planes_angle(p, own) for p in p_of(thread.rgb[there]).T]
+            assert max(away) < 1e-3
+        mean = sum(thread.share[:, None] * thread.rgb for thread in threads.values())
+        assert pair.result.rgb == pytest.approx(mean)
+        assert (pair.result.foreign, pair.result.grey, pair.result.turns_grey) == (0, 0, False)
+        size = sum(thread.share * np.hypot(*p_of(thread.rgb)) for thread in threads.values())
+        brought = (1 - steps) * palette.labels[pair.back].chroma + steps * palette.labels[pair.front].chroma
+        assert pair.result.left <= (size / brought).min() + 1e-9
+        assert pair.result.left == pytest.approx((size / brought).min(), abs=1e-3)
+
+
+def test_from_afar_a_woven_blend_is_the_ordinary_one():
+    """Where there is room for both threads."""
+    palette = hpcomp.palette([color_of(hue, 0.1, 0.4) for hue in (10, 130, 250)], preset="woven")
+    for pair in palette.pairs:
+        assert pair.result.rgb == pytest.approx(pair.traditional.rgb, abs=1e-9)
+        assert pair.result.left == pytest.approx(1)
+        assert palette.mirrored(pair)
+
+
+def test_a_woven_pair_does_not_go_grey():
+    labels = ["#300", "#00f"]
+    assert only("goes-grey", labels).blendings == ("hue-preserving",)
+    assert kinds(*labels, preset="woven") == []
+    # Opposite hues do in ordinary blending.
+    assert only("goes-grey", ["#300", "#0ff"], preset="woven").blendings == ("traditional",)
+
+
+def test_close_hues_are_woven_one_by_one():
+    close = hpcomp.palette(["#f00", "fire=#f20"], preset="woven")
+    assert close.pair(0, 1).equality == 0
+    (found,) = close.findings
+    assert "once pale, they are hard to tell apart" in palettedata.sentence(close, found)
+    assert hpcomp.palette(["#f00", "#800000"], preset="woven").pair(0, 1).equality == 1
+
+
+def test_a_label_on_the_background_is_judged_by_its_thread():
+    rules = {"background": "#00f", "opacity": 0.3}
+    by_chroma, woven = (hpcomp.palette(["#800000", "#ffffff"], **rules, **more) for more in ({}, {"preset": "woven"}))
+    assert by_chroma.findings[-1].kind == "hue-lost"
+    assert by_chroma.findings[-1].blendings == ("traditional", "hue-preserving")
+    on = woven.on_background[0]["woven"]
+    assert on.keeps_hue
+    (lost,) = (f for f in woven.findings if f.kind == "hue-lost")
+    assert lost.blendings == ("traditional",)
+    m = [oracle.strength_of("coverage", c, 1.0) for c in (woven.labels[0].rgb, (0.0, 0.0, 1.0))]
+    assert on.share == pytest.approx(0.3 * m[0] / (0.3 * m[0] + 0.7 * m[1]))
+    assert on.difference == pytest.approx(float(difference(on.rgb, [0, 0, 1])))
+    white = hpcomp.palette(SET, preset="woven").on_background
+    assert {row["woven"].share for row in white} == {1.0}
+    for row in white:
+        assert row["woven"].rgb == pytest.approx(row["traditional"].rgb, abs=1e-9)
+
+
+def test_woven_mixtures_keep_to_spokes_and_reach_the_labels():
+    palette = hpcomp.palette(["#f00", "#0f0", "#00f"], preset="woven", order="1,2,0")
+    own = p_of([label.rgb for label in palette.labels])
+    p, rgb = mixed(palette, "woven")
+    assert rgb.min() > -1e-6
+    assert rgb.max() < 1 + 1e-6
+    colored = np.hypot(*p) > 1e-4
+    nearest = np.array([[planes_angle(q, v) for v in own.T] for q in p.T[colored][::997]])
+    assert nearest.min(axis=1).max() < 0.1
+    assert np.abs(rgb - 1).max(axis=0).min() < 1e-6  # the background
+    for label in palette.labels:
+        assert np.abs(rgb.T - label.rgb).max(axis=1).min() < 1e-6
+
+
+def test_threads_in_text_and_data():
+    palette = hpcomp.palette(["#e41a1c", "#377eb8"], preset="woven")
+    data = json.loads(render("json", palette))
+    threads = {row["label"]: row for row in data["pairs"][0]["result"]["threads"]}
+    assert "threads" not in data["pairs"][0]["traditional"]
+    assert "threads" not in json.loads(render("json", hpcomp.palette(SET)))["pairs"][0]["result"]
+    assert [len(row[key]) for row in threads.values() for key in ("share", "srgb")] == [17] * 4
+    text = render("text", palette).decode()
+    back, front = (f"{threads[n]['srgb'][8]} {threads[n]['share'][8]:.0%}" for n in (0, 1))
+    assert f"  {back}, {front}\n" in text
+    assert "threads at 50%" in text
+    assert "order" not in text.splitlines()[0]
+    assert "weave stripes" in " ".join(text.split())
+    assert "threads" not in render("text", hpcomp.palette(SET)).decode()
+    one = render("text", hpcomp.palette(["#e41a1c", "#808080"], preset="woven")).decode()
+    assert re.search(r"  #[0-9a-f]{6} 100%\n", one)
+
+
+def test_a_figure_shows_the_pattern():
+    palette = hpcomp.palette(["#ff0000", "#0060ff"], preset="woven")
+    pixels = picture(palette, figure="profiles")
+    threads = json.loads(render("json", palette))["pairs"][0]["result"]["threads"]
+    right = pixels[:, len(pixels[0]) * 6 // 10 :]
+    counts = []
+    for thread in threads:
+        color = np.array(list(bytes.fromhex(thread["srgb"][8][1:])))
+        counts.append(int((np.abs(right - color).max(axis=2) < 6).sum()))
+    assert min(counts) > 100  # the colours of both threads in the middle of the bar, at once
+    mean = np.array(list(bytes.fromhex(json.loads(render("json", palette))["pairs"][0]["result"]["srgb"][8][1:])))
+    assert (np.abs(right - mean).max(axis=2) < 6).sum() < min(counts) / 10
 
 
 # ---- mixtures --------------------------------------------------------------------------------
@@ -400,7 +589,12 @@ def test_json_says_what_was_found():
 
 def test_every_rule_of_a_stack_is_in_the_data():
     rules = json.loads(render("json", hpcomp.palette(SET)))["rules"]
-    assert set(rules) == set(ARRAY_RULES) - {"background", "exposure"}
+    elsewhere = {"preset", "background", "exposure"}
+    assert set(rules) == set(ARRAY_RULES) - elsewhere - {"weave", "weave_size"}
+    woven = json.loads(render("json", hpcomp.palette(SET, preset="woven", weave="noise", weave_size=5)))
+    assert set(woven["rules"]) == set(ARRAY_RULES) - elsewhere - {"order", "gray_bias"}
+    named = {name: woven["rules"][name] for name in ("blending", "strength", "weave", "weave_size")}
+    assert named == {"blending": "woven", "strength": "coverage", "weave": "noise", "weave_size": 5}
 
 
 def test_text_says_what_was_found():
@@ -535,6 +729,10 @@ def test_every_format_in_a_file_and_in_a_pipe(desk, name):
 
 
 def test_options_reach_the_palette(desk):
+    woven = desk.makes("palette", *ARGUMENTS, "--preset", "woven", "--strength", "perceived",
+                       "--weave", "noise", "--weave-size", "4", "--format", "json")  # fmt: skip
+    assert woven.stdout == render("json", hpcomp.palette(
+        ARGUMENTS, blending="woven", strength="perceived", weave="noise", weave_size=4))  # fmt: skip
     run = desk.makes(
         "palette", *ARGUMENTS, "--from", "roads.png::name=r", "--space", "xyz", "--order",
         "simultaneous", "--hue-tolerance", "3", "--background", "#123", "--opacity", "0.4",

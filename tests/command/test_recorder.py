@@ -716,6 +716,32 @@ def test_report_says_the_command_and_what_was_chosen(desk):
     assert str(desk.folder) not in (desk / "out.json").read_text()
 
 
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ([], {"strength": "chroma", "gray bias": "0", "weave": None}),
+        (["--preset", "labels"], {"strength": "coverage", "gray bias": "1", "weave": None}),
+        (["--preset", "woven"], {"strength": "coverage", "weave": "stripes of 8 pixels"}),
+        (
+            ["--blending", "woven", "--weave", "noise", "--weave-size", "3"],
+            {"blending": "woven", "strength": "chroma", "weave": "noise of 3 pixels"},
+        ),
+    ],
+)
+def test_strength_and_weave_are_said_where_they_matter(desk, options, says):
+    reports = ["--report", "out.json", "--report", "out.html"]
+    run = desk.run("stack", *LAYERS, "-o", "out.png", *reports, "-v", *options)
+    assert run.code == 0
+    settings = json.loads((desk / "out.json").read_bytes())["settings"]
+    assert {name: settings.get(name) for name in says} == says
+    page = (desk / "out.html").read_text()
+    assert all(value in page for value in says.values() if value is not None)
+    (line,) = [line for line in run.lines if "canvas" in line and "space" in line]
+    assert f"strength {says['strength']}" in line
+    how = says["weave"] or f"order {settings['order']}"
+    assert f"{settings['blending']}, {how}, space {settings['space']}" in line
+
+
 def test_report_on_stdout_is_text(desk):
     run = desk.makes("stack", *LAYERS, "-o", "out.png", "--report", "-")
     assert run.stdout.decode().startswith("out.png\n\n")
