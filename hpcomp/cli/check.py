@@ -20,17 +20,8 @@ from .words import Layer
 #: The options of a stack that change what is measured, and what that may take.
 CHECKED = (
     *("foreign_tolerance", "achromatic"),
-    *(
-        "op",
-        "preset",
-        "space",
-        "primaries",
-        "hue_tolerance",
-        "exposure",
-        "region",
-        "canvas",
-        "background",
-    ),
+    *("op", "preset", "space", "primaries", "hue_tolerance", "exposure"),
+    *("region", "canvas", "background"),
     *("nonfinite", "strict", "threads", "max_memory", "max_pixels"),
 )
 
