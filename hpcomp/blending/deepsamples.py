@@ -1,7 +1,8 @@
 """Samples along viewing rays: sorted by depth, split where they overlap, merged where at one place.
 
 Colours are linear and premultiplied. How colours are added is not known here: what coincides is
-handed to whoever knows, already weighted. OpenEXR: Interpreting Deep Pixels.
+handed to whoever knows, already weighted, or each sample as far as it is seen. OpenEXR:
+Interpreting Deep Pixels.
 """
 
 from __future__ import annotations
@@ -87,7 +88,7 @@ def tidied(samples: DeepSamples, merge: Merge) -> tuple[Ints, Floats]:
     split = overlapping[there]
     counts = samples.counts.copy()
     counts[overlapping] = 0
-    pieces = _pieces(there[split], front[split], back[split], rgba[split], merge)
+    pieces = _merged_pieces(there[split], front[split], back[split], rgba[split], merge)
     for pixels, _ in pieces:
         counts = counts + np.bincount(pixels, minlength=len(counts))
 
@@ -104,6 +105,28 @@ def tidied(samples: DeepSamples, merge: Merge) -> tuple[Ints, Floats]:
         result[begin[pixels] + within] = colors
         begin[pixels[first]] += lengths
     return counts, result
+
+
+def seen(samples: DeepSamples) -> tuple[Ints, Floats]:
+    """Each sample as far as it is seen: counts (pixels), RGBA (samples, 4), which add up by +.
+
+    Nothing is merged: a sample is scaled by its share of what coincides with it, times what is let
+    through in front of it. Those that nothing is seen of are left out. The result does not depend
+    on the order of a pixel's samples.
+    """
+    pixel = samples.pixel
+    front = samples.front + np.float32(0)  # -0 and 0 are one depth
+    back = np.maximum(front, samples.back)
+    order = _by_depth(pixel, front, back, samples.rgba)
+    front, back, rgba = front[order], back[order], samples.rgba[order]
+    weights = np.zeros(len(order))
+    let_through = np.ones(len(samples.counts))
+    for pieces in _split(pixel, front, back, rgba[:, 3]):
+        in_front = np.repeat(_in_front(let_through, pieces), pieces.lengths)
+        np.add.at(weights, pieces.sample, in_front * pieces.weights)
+    some = weights != 0
+    counts = np.bincount(pixel[some], minlength=len(samples.counts))
+    return counts, (rgba[some] * weights[some, None]).astype(np.float32)
 
 
 def visible(counts: Ints, rgba: Floats) -> tuple[Ints, Floats]:
@@ -184,10 +207,48 @@ def _by_depth(pixel: Ints, front: Floats, back: Floats, rgba: Floats) -> Ints:
     return order
 
 
-def _pieces(
+@dataclass(frozen=True)
+class _Pieces:
+    """Pieces of samples, cell by cell, from the front: those of a run coincide.
+
+    `sample`, `weights`: (pieces), whose each is, and what that is scaled by, as in `_weights`.
+    `pixel`, `lengths`, `transmittance`: (runs).
+    """
+
+    sample: Ints
+    weights: Floats
+    pixel: Ints
+    lengths: Ints
+    transmittance: Floats
+
+
+def _merged_pieces(
     pixel: Ints, front: Floats, back: Floats, rgba: Floats, merge: Merge
 ) -> list[tuple[Ints, Floats]]:
-    """Sorted samples of pixels that are not tidy, made so: runs of (pixel (n), RGBA (n, 4)).
+    """Sorted samples of pixels that are not tidy, made so: runs of (pixel (n), RGBA (n, 4))."""
+    found = []
+    for pieces in _split(pixel, front, back, rgba[:, 3]):
+        weighted = (rgba[pieces.sample] * pieces.weights[:, None]).astype(np.float32)
+        found.append((pieces.pixel, _one_each(pieces.lengths, weighted, merge)))
+    return found
+
+
+def _in_front(let_through: Floats, pieces: _Pieces) -> Floats:
+    """What is let through in front of each run, beginning with `let_through` (pixels), updated.
+
+    One run of all pixels after the other, so that a pixel's number is not touched by the others.
+    """
+    in_front = np.empty(len(pieces.pixel))
+    first, lengths = _runs(pieces.pixel)
+    for step in range(lengths.max(initial=0)):
+        run = first[lengths > step] + step
+        in_front[run] = let_through[pieces.pixel[run]]
+        let_through[pieces.pixel[run]] *= pieces.transmittance[run]
+    return in_front
+
+
+def _split(pixel: Ints, front: Floats, back: Floats, alpha: Floats) -> Iterator[_Pieces]:
+    """The pieces of sorted samples, split where others begin or end, some cells at a time.
 
     Depths at which a sample begins or ends are marks. A cell is a mark, where points may be, or
     the space behind it, up to the next one, where parts of volumes may be: cells 2i and 2i + 1.
@@ -202,7 +263,7 @@ def _pieces(
     cell = 2 * first + volume
     cells = np.where(volume, last - first, 1)  # cell, cell + 2, ...
     pixel_of_mark = (marks >> np.uint64(32)).astype(np.int64)
-    density = _densities(rgba[:, 3])
+    density = _densities(alpha)
 
     per_cell = np.zeros((len(marks), 2), np.int64)
     per_cell[:, 0] = np.bincount(first[~volume], minlength=len(marks))
@@ -211,7 +272,6 @@ def _pieces(
         - np.bincount(last[volume], minlength=len(marks))
     )
     pieces_before = np.concatenate([[0], np.cumsum(per_cell)])
-    found = []
     begin = 0
     while begin < 2 * len(marks):
         wanted = pieces_before[begin] + PIECES_AT_ONCE
@@ -239,12 +299,10 @@ def _pieces(
                 back[sample[parts]].astype(float),
             )
             first_of_run, lengths = _runs(of_cell)
-            weights = _weights(lengths, share, density[sample], rgba[sample, 3])
-            weighted = (rgba[sample] * weights[:, None]).astype(np.float32)
+            weights, transmittance = _weights(lengths, share, density[sample], alpha[sample])
             pixels = pixel_of_mark[of_cell[first_of_run] // 2]
-            found.append((pixels, _one_each(lengths, weighted, merge)))
+            yield _Pieces(sample, weights, pixels, lengths, transmittance)
         begin = end
-    return found
 
 
 def _runs(numbers: Ints) -> tuple[Ints, Ints]:
@@ -287,8 +345,12 @@ def _shares(near: Floats, far: Floats, front: Floats, back: Floats) -> Floats:
     return share
 
 
-def _weights(lengths: Ints, share: Floats, density: Floats, alpha: Floats) -> Floats:
+def _weights(
+    lengths: Ints, share: Floats, density: Floats, alpha: Floats
+) -> tuple[Floats, Floats]:
     """What each piece's sample is scaled by, so that those of a run add up to their merged sample.
+
+    And what each run lets through, 1 - A (runs).
 
     A share t of a sample has u' = t·u and α' = 1 - exp(-u'), and its colour is scaled by α'/α. A
     run has U = Σ u' and A = 1 - exp(-U), and of its colours A/U · Σ c'·u'/α'. Together that is
@@ -306,7 +368,8 @@ def _weights(lengths: Ints, share: Floats, density: Floats, alpha: Floats) -> Fl
     colored[density == np.inf] = 0
     weights = ratio[run] * share * colored
     weights[(np.repeat(lengths, lengths) == 1) & (share == 1)] = 1
-    n_opaque = np.bincount(run, weights=opaque)[run]
+    of_run = np.bincount(run, weights=opaque)
+    n_opaque = of_run[run]
     some = n_opaque > 0
     weights[some] = opaque[some] / n_opaque[some]
-    return weights
+    return weights, np.where(of_run > 0, 0, np.exp(-whole))

@@ -94,10 +94,11 @@ def start(
     height: int,
     dtype: Any = np.float32,
     origin: tuple[int, int] = (0, 0),
+    phases: NDArray[np.float32] | None = None,
 ) -> Accumulator:
     """An empty accumulator of the active engine; float64 is composited by the reference."""
     engine = reference_engine() if dtype == np.float64 else active()
-    return engine.start(rules, width, height, dtype, origin)
+    return engine.start(rules, width, height, dtype, origin, phases)
 
 
 def measuring(rules: StackRules) -> Engine:

@@ -67,10 +67,12 @@ class Engine(Protocol):
         height: int,
         dtype: Any = np.float32,
         origin: tuple[int, int] = (0, 0),
+        phases: NDArray[np.float32] | None = None,
     ) -> Accumulator:
         """An empty accumulator for a strip of that size in pixels.
 
         `origin`: column and row of its first pixel, counted from the corner of the canvas.
+        `phases` (pixels): of the weave, where pixels do not lie side by side there.
         """
 
     def bytes_to_reduce(self, rules: StackRules, layers: int) -> int:

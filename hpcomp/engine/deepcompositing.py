@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..blending import deepsamples
 from ..blending.blendings import BLENDINGS
@@ -18,6 +19,7 @@ from ..blending.terms import color_of, layer_term, sums_of_runs
 from ..color.primaries import REC709, Primaries
 from ..color.quantization import Losses
 from ..color.samples import OUTPUT_TYPES, Samples, Strip
+from ..geometry import Window
 from . import choice as engine
 
 #: Samples in one place up to which pixels with as many are stacks, side by side. More are added run
@@ -39,34 +41,55 @@ def flat(
     losses: Losses,
     gamut: Primaries = REC709,
     go_on: Callable[[], None] = lambda: None,
+    window: Window | None = None,
 ) -> Samples:
     """The pixels (pixels, 4) as samples of that kind; codes are of that gamut.
 
     `rules`: of a stack of any height. In a pixel the farthest sample is the bottom. `go_on` is
-    called now and then, and may raise.
+    called now and then, and may raise. `window`: where the pixels are, row by row, from the corner
+    of the canvas on; one row of it if None.
     """
-    merge = partial(_merged_colors, _coincident_rules(rules), go_on)
+    form = _Form(kind, losses, gamut)
     with np.errstate(all="ignore"):  # NaN and Inf may have been let through
-        counts, rgba = deepsamples.visible(*deepsamples.tidied(samples, merge))
-    return _composited(counts, rgba, rules, "over", kind, losses, gamut, go_on)
+        if rules.blending.depends_on_place:
+            # What is merged has one hue, which would be woven once more: all samples are terms.
+            phases = rules.weave.phases_in(window or Window(0, 0, len(samples.counts), 1))
+            seen = deepsamples.seen(samples)
+            return _composited(*seen, rules, "plus", form, go_on, phases)
+        merge = partial(_merged_colors, _coincident_rules(rules), go_on)
+        visible = deepsamples.visible(*deepsamples.tidied(samples, merge))
+    return _composited(*visible, rules, "over", form, go_on)
 
 
 def bytes_to_reduce(rules: StackRules, samples: int, has_volumes: bool) -> int:
     """Memory that a pixel of so many samples takes beside these, at most."""
+    if rules.blending.depends_on_place:
+        return max(_bytes_to_stack(rules, "plus", samples), samples * RUN_SAMPLE_BYTES)
     pieces = 2 * samples if has_volumes else samples
-    height = int(deepsamples.stack_heights(np.array([pieces]))[0])
+    of_stack = _bytes_to_stack(rules, "over", pieces)
     at_one_place = min(samples, MOST_SIDE_BY_SIDE)
-    of_stack, of_place = (
-        engine.active().bytes_to_reduce(of, layers) + _layers_at_once(of, layers) * LAYER_BYTES
-        for of, layers in (
-            (_of_height(rules, "over", height), height),
-            (_of_height(_coincident_rules(rules), "plus", at_one_place), at_one_place),
-        )
-    )
+    of_place = _bytes_to_stack(_coincident_rules(rules), "plus", at_one_place)
     of_run = 0
     if samples > MOST_SIDE_BY_SIDE:
         of_run = samples * RUN_SAMPLE_BYTES + engine.active().bytes_to_keep(samples)
     return max(of_stack, of_place, of_run)
+
+
+def _bytes_to_stack(rules: StackRules, op: str, samples: int) -> int:
+    """Memory that the stack of a pixel of so many samples takes beside these."""
+    layers = int(deepsamples.stack_heights(np.array([samples]))[0])
+    of_height = _of_height(rules, op, layers)
+    reducing = engine.active().bytes_to_reduce(of_height, layers)
+    return reducing + _layers_at_once(of_height, layers) * LAYER_BYTES
+
+
+@dataclass(frozen=True)
+class _Form:
+    """What samples are made, as an accumulator's `result` takes it."""
+
+    kind: str
+    losses: Losses
+    gamut: Primaries
 
 
 def _coincident_rules(rules: StackRules) -> StackRules:
@@ -88,7 +111,8 @@ def _merged_colors(
     """Each run as one sample (runs, 4)."""
 
     def add(counts: Ints, rgba: Floats) -> Floats:
-        return _composited(counts, rgba, rules, "plus", "float", Losses(), rules.primaries, go_on)
+        form = _Form("float", Losses(), rules.primaries)
+        return _composited(counts, rgba, rules, "plus", form, go_on)
 
     long = counts > MOST_SIDE_BY_SIDE
     if not long.any():
@@ -131,13 +155,15 @@ def _composited(
     rgba: Floats,
     rules: StackRules,
     op: str,
-    kind: str,
-    losses: Losses,
-    gamut: Primaries,
+    form: _Form,
     go_on: Callable[[], None],
+    phases: NDArray[np.float32] | None = None,
 ) -> Samples:
-    """The samples of each pixel, front first, as a stack with that operator: (pixels, 4)."""
-    made: Samples = np.empty((len(counts), 4), OUTPUT_TYPES[kind])
+    """The samples of each pixel, front first, as a stack with that operator: (pixels, 4).
+
+    `phases` (pixels): of the weave, where there is one.
+    """
+    made: Samples = np.empty((len(counts), 4), OUTPUT_TYPES[form.kind])
     for pixels, stack in deepsamples.layers(counts, rgba):
         height = len(stack)
         of_height = _of_height(rules, op, height)
@@ -148,11 +174,12 @@ def _composited(
         for first in range(0, len(pixels), pixels_at_once):
             go_on()
             part = slice(first, first + pixels_at_once)
-            accumulator = engine.start(of_height, len(pixels[part]), 1)
+            of_part = None if phases is None else phases[pixels[part]]
+            accumulator = engine.start(of_height, len(pixels[part]), 1, phases=of_part)
             for begin in range(0, height, layers_at_once):
                 numbers = arrival[begin : begin + layers_at_once]
                 accumulator.add(numbers, [Strip(stack[number, part][None]) for number in numbers])
-            made[pixels[part]] = accumulator.result(kind, losses, gamut)[0]
+            made[pixels[part]] = accumulator.result(form.kind, form.losses, form.gamut)[0]
     return made
 
 

@@ -57,9 +57,10 @@ class ReferenceEngine:
         height: int,
         dtype: Any = np.float32,
         origin: tuple[int, int] = (0, 0),
+        phases: NDArray[np.float32] | None = None,
     ) -> _Accumulator:
         """An empty accumulator for a strip of that size, of the kind that the rules need."""
-        return _ACCUMULATORS[rules.reduction](rules, width, height, dtype, origin)
+        return _ACCUMULATORS[rules.reduction](rules, width, height, dtype, origin, phases)
 
     def bytes_to_reduce(self, rules: StackRules, layers: int) -> int:
         """What adding all terms of one pixel at once takes; those of a block take no more."""
@@ -121,9 +122,10 @@ class _Accumulator(ABC):
         height: int,
         dtype: Any,
         origin: tuple[int, int],
+        phases: NDArray[np.float32] | None,
     ) -> None:
         self.rules, self.width, self.height = rules, width, height
-        self._origin = origin
+        self._origin, self._phases = origin, phases
         self.nonfinite = [0] * len(rules.operators)
         self._begin(width * height, dtype)
 
@@ -156,6 +158,8 @@ class _Accumulator(ABC):
 
     def phases(self, block: slice) -> Array:
         """Those of the weave in pixels of the strip."""
+        if self._phases is not None:
+            return self._phases[block]
         x, y = self._origin
         row, column = np.divmod(np.arange(block.start, block.stop), self.width)
         return self.rules.weave.phases(column + x, row + y)

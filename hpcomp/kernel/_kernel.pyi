@@ -56,7 +56,15 @@ class Losses:
 
 class Accumulator:
     def __init__(
-        self, *, rules: Rules, width: int, height: int, left: int, top: int, level: str = ""
+        self,
+        *,
+        rules: Rules,
+        width: int,
+        height: int,
+        left: int,
+        top: int,
+        phases: NDArray[np.float32] | None,
+        level: str = "",
     ) -> None: ...
     def add(self, *, numbers: Sequence[int], layers: Sequence[Layer]) -> list[int]: ...
     def result(

@@ -66,7 +66,7 @@ HPCOMP_INLINE State state_at(const State &state, int64_t pixel) {
     return {light_at(state.light, pixel), state.alpha + pixel,
             state.transmittance ? state.transmittance + pixel : nullptr,
             state.lo ? state.lo + pixel : nullptr, state.hi ? state.hi + pixel : nullptr,
-            state.left, state.top};
+            state.phase ? state.phase + pixel : nullptr, state.left, state.top};
 }
 
 HPCOMP_INLINE void show(const Observer &observer, int number, int n, const Light &term, const float *alpha) {
@@ -194,7 +194,12 @@ void reduce_layers(const Rules &rules, const Layer *layers, int count, int width
             float *reducing = scratch + term_floats(all);
             if (rules.order == Order::kWoven) {
                 Plane phase;
-                phases(rules.weave, state.left + x, state.top + y, phase);
+                if (at.phase) {
+                    std::memset(phase, 0, sizeof phase);
+                    std::memcpy(phase, at.phase, n * sizeof(float));
+                } else {
+                    phases(rules.weave, state.left + x, state.top + y, phase);
+                }
                 weave_terms(rules, p, terms.strength, all, n, phase, reducing, kept);
             } else {
                 reduce_terms(rules, p, terms.strength, all, n, kept, f_b, reducing);

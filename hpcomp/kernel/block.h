@@ -130,11 +130,12 @@ struct Light {
 };
 
 // Planes of the strip so far: its light, its alpha, the transmittance in front, and what bounds the
-// channels of the result; null where they are not needed. `left`, `top`: its first pixel, from the corner
-// of the canvas.
+// channels of the result; null where they are not needed. `phase`: of the weave; null where it follows from
+// `left`, `top`: the first pixel, from the corner of the canvas.
 struct State {
     Light light;
     float *alpha, *transmittance, *lo, *hi;
+    const float *phase;
     int left, top;
 };
 

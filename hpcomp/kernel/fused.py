@@ -96,9 +96,10 @@ class KernelEngine:
         height: int,
         dtype: Any = np.float32,
         origin: tuple[int, int] = (0, 0),
+        phases: NDArray[np.float32] | None = None,
     ) -> Accumulator:
         """An empty accumulator for a strip of that size, whose planes are float32."""
-        return Accumulator(rules, width, height, origin)
+        return Accumulator(rules, width, height, origin, phases)
 
     def bytes_to_reduce(self, rules: StackRules, layers: int) -> int:
         """Scratch for the terms of a block, and for what reduces them."""
@@ -181,7 +182,14 @@ ENGINE = KernelEngine()
 class Accumulator:
     """Takes the layers of one strip in `rules.arrival` order, and gives their composite."""
 
-    def __init__(self, rules: StackRules, width: int, height: int, origin: tuple[int, int]) -> None:
+    def __init__(
+        self,
+        rules: StackRules,
+        width: int,
+        height: int,
+        origin: tuple[int, int],
+        phases: NDArray[np.float32] | None,
+    ) -> None:
         self.rules, self.shape = rules, (height, width, 4)
         self.nonfinite = [0] * len(rules.operators)
         self._decoded: set[int] = set()  # layers whose broken pixels were counted by numpy
@@ -191,6 +199,7 @@ class Accumulator:
             height=height,
             left=origin[0],
             top=origin[1],
+            phases=phases,
             level=chosen_level(),
         )
 

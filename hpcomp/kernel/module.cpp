@@ -465,15 +465,23 @@ template <Result kWhich> ResultFound found_of(const StripMeasures &of) {
     return found;
 }
 
+using Phases = nb::ndarray<const float, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
+
 class Accumulator {
   public:
-    // `left`, `top`: of its first pixel, from the corner of the canvas.
+    // `left`, `top`: of its first pixel, from the corner of the canvas. `phases`: of the weave in all its pixels,
+    // where they do not lie side by side there.
     Accumulator(std::shared_ptr<StackRules> rules, int64_t width, int64_t height, int64_t left, int64_t top,
-                const std::string &level)
+                const std::optional<Phases> &phases, const std::string &level)
         : rules_(std::move(rules)), level_(level_of(level)), engine_(level_.engine),
           width_(checked_coordinate(width)), height_(checked_coordinate(height)) {
         state_.left = checked_coordinate(left), state_.top = checked_coordinate(top);
         if (width < 1 || height < 1) throw nb::value_error("a strip needs pixels");
+        if (!phases) return;
+        if (int64_t(phases->shape(0)) != width * height) throw nb::value_error("a phase for each pixel is needed");
+        check_aligned(phases->data(), sizeof(float));
+        phases_.assign(phases->data(), phases->data() + width * height);
+        state_.phase = phases_.data();
     }
 
     // Takes layers in their turn. Returns how many pixels of each are NaN or infinite; where layers
@@ -630,6 +638,7 @@ class Accumulator {
             }
             for (Layer &layer : layers) layer.top -= rows;
             state_.top += rows;
+            if (state_.phase) state_.phase += int64_t(rows) * width_;
         }
     }
 
@@ -637,7 +646,7 @@ class Accumulator {
     const Level &level_;
     const Engine *engine_;
     int width_, height_;
-    std::vector<float> planes_;
+    std::vector<float> planes_, phases_;
     State state_{};
     std::vector<StripLayer> held_;
     int come_ = 0;  // how many layers have
@@ -703,7 +712,7 @@ void keep_runs(std::shared_ptr<StackRules> rules, Counts counts, Vectors p, std:
 void measure(std::shared_ptr<StackRules> rules, const std::vector<StripLayer *> &strips,
              StripMeasures &measures, const std::string &level) {
     const int layers = int(strips.size());
-    Accumulator strip(rules, measures.width, measures.height, 0, 0, level);
+    Accumulator strip(rules, measures.width, measures.height, 0, 0, std::nullopt, level);
     std::vector<int> numbers(strips.size());
     const bool from_front = rules->rules.order == Order::kFrontToBack;
     for (int i = 0; i < layers; ++i) numbers[size_t(i)] = from_front ? layers - 1 - i : i;
@@ -792,8 +801,10 @@ NB_MODULE(_kernel, module) {
         .def_ro("not_a_number", &Losses::not_a_number)
         .def_ro("beyond_half", &Losses::beyond_half);
     nb::class_<Accumulator>(module, "Accumulator")
-        .def(nb::init<std::shared_ptr<StackRules>, int64_t, int64_t, int64_t, int64_t, const std::string &>(),
-             nb::kw_only(), "rules"_a, "width"_a, "height"_a, "left"_a, "top"_a, "level"_a = "")
+        .def(nb::init<std::shared_ptr<StackRules>, int64_t, int64_t, int64_t, int64_t,
+                      const std::optional<Phases> &, const std::string &>(),
+             nb::kw_only(), "rules"_a, "width"_a, "height"_a, "left"_a, "top"_a, "phases"_a.noconvert().none(),
+             "level"_a = "")
         .def("add", &Accumulator::add, nb::kw_only(), "numbers"_a, "layers"_a)
         .def("result", &Accumulator::result, nb::kw_only(), "out"_a.noconvert(), "codes"_a.none(),
              "measures"_a.none() = nb::none());

@@ -208,7 +208,7 @@ def _made(plan: FlatteningPlan) -> StackResult:
         plan.threads,
         engine.active().name,
     )
-    work = _Work(plan.images, rules, request.form)
+    work = _Work(plan.images, rules, request.form, plan.canvas)
     with plan.writer() as writer, ThreadPipeline[Samples](plan.threads) as pipeline:
         # Each strip is a source of its own: they are read and flattened side by side.
         made = pipeline.read_ahead(
@@ -318,8 +318,14 @@ def _check_samples(reader: DeepReader, samples: int, most: int) -> None:
 class _Work:
     """Makes the strips, in any thread; counts what was lost on the way."""
 
-    def __init__(self, images: Sequence[PlacedImage], rules: StackRules, form: OutputForm) -> None:
-        self._images, self._rules, self._form = images, rules, form
+    def __init__(
+        self,
+        images: Sequence[PlacedImage],
+        rules: StackRules,
+        form: OutputForm,
+        canvas: Window,
+    ) -> None:
+        self._images, self._rules, self._form, self._canvas = images, rules, form, canvas
         self._lock = Lock()
         self.losses = Losses()
         self.left_out = [0] * len(images)
@@ -332,7 +338,8 @@ class _Work:
         has_read = time.perf_counter()
         samples = deepsamples.merged([of_image for of_image, _ in read])
         lost = Losses()
-        made = flat(samples, self._rules, self._form.kind, lost, self._form.gamut, go_on)
+        window = rows.moved(-self._canvas.x, -self._canvas.y)
+        made = flat(samples, self._rules, self._form.kind, lost, self._form.gamut, go_on, window)
         done = time.perf_counter()
         with self._lock:
             self.losses.add(lost)

@@ -10,7 +10,7 @@ import oracle
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from strategies import BLENDING_NAMES, ORDER_NAMES, valid_color
+from strategies import BLENDING_NAMES, ORDER_NAMES, STRENGTH_NAMES, WEAVE_NAMES, valid_color
 
 from hpcomp.blending import deepsamples
 from hpcomp.blending.deepsamples import DeepSamples
@@ -19,6 +19,7 @@ from hpcomp.color.quantization import Losses
 from hpcomp.color.spaces import SPACES
 from hpcomp.engine import choice as engine
 from hpcomp.engine.deepcompositing import flat
+from hpcomp.geometry import Window
 from hpcomp.options import stack_rules
 
 #: Of a few additions of float32, and what the shoulder of ⊕ makes of their rounding.
@@ -45,6 +46,10 @@ def samples(draw, opaque=True):
 PIXELS = st.lists(samples(), max_size=5)
 
 
+#: Small, so that few pixels see all of the pattern.
+WOVEN = {"blending": "woven", "weave_size": 2}
+
+
 def of_pixels(*pixels):
     """The samples of these pixels."""
     values = np.array([s for pixel in pixels for s in pixel], np.float32).reshape(-1, 6)
@@ -52,9 +57,10 @@ def of_pixels(*pixels):
     return DeepSamples(counts, values[:, 4], values[:, 5], values[:, :4])
 
 
-def flattened(*pixels, blending="hue-preserving", order="bottom-up"):
-    rules = stack_rules(1, blending=blending, order=order)
-    return flat(of_pixels(*pixels), rules, "float", Losses(), REC709)
+def flattened(*pixels, window=None, **rules):
+    return flat(
+        of_pixels(*pixels), stack_rules(1, **rules), "float", Losses(), REC709, window=window
+    )
 
 
 def test_work_can_be_given_up_in_the_middle(monkeypatch):
@@ -81,7 +87,11 @@ def test_deep_pixels_share_a_stack_as_far_as_signals_allow(monkeypatch, order, c
     """Each call of the engine costs something for each layer, whatever the number of pixels."""
     monkeypatch.setattr(engine.active(), "pairs_at_once", 4 * 400**2)
     begun, start = [], engine.start
-    monkeypatch.setattr(engine, "start", lambda *given: begun.append(given) or start(*given))
+    def counted(*given, **named):
+        begun.append(given)
+        return start(*given, **named)
+
+    monkeypatch.setattr(engine, "start", counted)
     points = [[(0.01, 0.0, 0.01 * (n % 2), 0.02, n, n) for n in range(384)]] * 40
     flattened(*points, order=order)
     assert len(begun) == calls
@@ -114,13 +124,28 @@ def test_pixels_are_those_of_the_document_and_the_paper(blending, order):
     holds()
 
 
+@pytest.mark.pairwise
+@pytest.mark.usefixtures("by_each_engine")
+@pytest.mark.parametrize("order", ORDER_NAMES)
+@pytest.mark.parametrize("strength", STRENGTH_NAMES[1:])
+def test_a_merged_sample_is_as_strong_as_its_own_colour(strength, order):
+    @given(st.lists(PIXELS, min_size=1, max_size=3))
+    def holds(pixels):
+        found = flattened(*pixels, strength=strength, order=order)
+        wanted = [deeporacle.flat(pixel, order=order, strength=strength) for pixel in pixels]
+        assert np.abs(found - wanted).max() < ROUNDING
+
+    holds()
+
+
+@pytest.mark.parametrize("blending", [*BLENDING_NAMES, "woven"])
 @given(PIXELS, st.randoms(use_true_random=False))
-def test_the_order_of_samples_changes_no_bit(pixel, random):
+def test_the_order_of_samples_changes_no_bit(blending, pixel, random):
     shuffled = list(pixel)
     random.shuffle(shuffled)
-    for blending in BLENDING_NAMES:
-        found = flattened(pixel, shuffled, blending=blending)
-        assert found[0].tobytes() == found[1].tobytes()
+    # One place on the canvas for both.
+    found = [flattened(samples, blending=blending) for samples in (pixel, shuffled)]
+    assert found[0].tobytes() == found[1].tobytes()
 
 
 @given(PIXELS, PIXELS)
@@ -343,8 +368,8 @@ def test_a_sample_among_nothing_is_what_it_was(n):
 def test_the_order_of_many_samples_changes_no_bit(n):
     pixel = [*coincident(n, "anywhere"), (0.0, 0.0, 0.0, 0.0, 1.0, 1.0)]
     shuffled = [pixel[i] for i in np.random.default_rng(n).permutation(len(pixel))]
-    for blending in BLENDING_NAMES:
-        found = flattened(pixel, shuffled, blending=blending)
+    for blending in (*BLENDING_NAMES, "woven"):
+        found = [flattened(samples, blending=blending) for samples in (pixel, shuffled)]
         assert found[0].tobytes() == found[1].tobytes()
 
 
@@ -408,18 +433,23 @@ def many_samples(rng, pixels, most):
 
 def test_how_many_pieces_are_in_memory_changes_no_bit(monkeypatch):
     pixels = many_samples(np.random.default_rng(3), 40, 30)
-    whole = flattened(*pixels)
-    for at_once in (1, 7, 100):
-        monkeypatch.setattr(deepsamples, "PIECES_AT_ONCE", at_once)
-        assert flattened(*pixels).tobytes() == whole.tobytes()
+    for rules in ({}, WOVEN):
+        whole = flattened(*pixels, **rules)
+        for at_once in (1, 7, 100):
+            with monkeypatch.context() as patched:
+                patched.setattr(deepsamples, "PIECES_AT_ONCE", at_once)
+                assert flattened(*pixels, **rules).tobytes() == whole.tobytes()
 
 
-@pytest.mark.parametrize("order", ORDER_NAMES)
-def test_what_else_is_in_the_strip_changes_no_bit(order):
+@pytest.mark.parametrize("at_once", [deepsamples.PIECES_AT_ONCE, 11])
+@pytest.mark.parametrize("rules", [*({"order": name} for name in ORDER_NAMES), WOVEN], ids=str)
+def test_what_else_is_in_the_strip_changes_no_bit(monkeypatch, rules, at_once):
     pixels = many_samples(np.random.default_rng(4), 60, 20)
-    whole = flattened(*pixels, order=order)
+    whole = flattened(*pixels, **rules)
+    monkeypatch.setattr(deepsamples, "PIECES_AT_ONCE", at_once)
     for number in range(0, 60, 7):
-        assert flattened(pixels[number], order=order).tobytes() == whole[number].tobytes()
+        alone = flattened(pixels[number], window=Window(number, 0, 1, 1), **rules)
+        assert alone.tobytes() == whole[number].tobytes()
 
 
 def test_one_pixel_of_a_thousand_samples_makes_no_thousand_layers_of_all():
@@ -452,6 +482,122 @@ def test_no_samples_are_a_transparent_pixel():
 def test_hidden_samples_change_nothing_in_any_order():
     front = [(0.1, 0.0, 0.0, 0.25, 1.0, 1.0), (0.0, 0.5, 0.0, 1.0, 2.0, 2.0)]
     hidden = [(0.0, 0.0, 0.5, 0.5, 3.0, 4.0), (9.0, 0.0, 0.0, 0.5, 5.0, 5.0)]
-    for order in ORDER_NAMES:
-        found = flattened(front, front + hidden, order=order)
+    for rules in (*({"order": order} for order in ORDER_NAMES), WOVEN):
+        found = [flattened(samples, **rules) for samples in (front, front + hidden)]
         assert found[0].tobytes() == found[1].tobytes()
+
+
+# ---- woven ----------------------------------------------------------------------------------
+
+
+#: How far the phase has to be from where another hue begins: single precision adds the strengths.
+MARGIN = 1e-5
+LUMINANCE = np.array(oracle.WEIGHTS)
+
+
+def phase(x, y, size=8):
+    return float(np.float32(oracle.stripes(x, y, size)))
+
+
+def assert_woven(pixels, window, background=None, strength="chroma"):
+    """As the oracle has it, wherever no rounding decides on hues; the share of pixels where it does not."""
+    rules = {"blending": "woven", "strength": strength, "background": background}
+    found = flattened(*pixels, window=window, **rules)
+    compared = 0
+    for number, pixel in enumerate(pixels):
+        row, column = divmod(number, window.width)
+        u = phase(window.x + column, window.y + row)
+        wanted = deeporacle.woven(pixel, u, background, strength)
+        if wanted.margin > MARGIN:
+            compared += 1
+            chroma = oracle.length(oracle.difference(wanted.rgba[:3]))
+            room = ROUNDING * (1 + chroma * wanted.gain)
+            assert np.abs(found[number] - wanted.rgba).max() < room, number
+    return compared / len(pixels)
+
+
+@pytest.mark.usefixtures("by_each_engine")
+@pytest.mark.parametrize("strength", STRENGTH_NAMES)
+@given(
+    pixels=st.lists(PIXELS, min_size=1, max_size=6),
+    corner=st.tuples(*[st.integers(-40, 40)] * 2),
+    background=st.sampled_from([None, (0.1, 0.4, 0.2)]),
+)
+def test_woven_samples_are_those_of_the_oracle(strength, pixels, corner, background):
+    assert_woven(pixels, Window(*corner, len(pixels), 1), background, strength)
+
+
+@pytest.mark.usefixtures("by_each_engine")
+@pytest.mark.parametrize("strength", STRENGTH_NAMES)
+def test_woven_pixels_have_the_phase_of_their_place(strength):
+    """Pixels of as many samples are made together, wherever they are."""
+    pixels = many_samples(np.random.default_rng(8), 15 * 9, 12)
+    assert assert_woven(pixels, Window(-3, 5, 15, 9), (0.3, 0.1, 0.2), strength) > 0.9
+
+
+@pytest.mark.usefixtures("by_each_engine")
+@pytest.mark.parametrize("volumes", [False, True])
+@pytest.mark.parametrize("n", MANY)
+def test_many_woven_samples_in_one_place_are_those_of_the_oracle(n, volumes):
+    behind = (0.0, 0.25, 0.125, 0.5, 4.0, 4.0)
+    pixel = [*stored(coincident(n, volumes=volumes)), behind]
+    assert assert_woven([pixel] * 8, Window(0, 0, 8, 1)) > 0.8
+
+
+@pytest.mark.usefixtures("by_each_engine")
+@pytest.mark.parametrize("strength", STRENGTH_NAMES)
+@pytest.mark.parametrize("space", SPACES)
+@pytest.mark.parametrize("weave", WEAVE_NAMES)
+def test_woven_luminance_and_alpha_are_those_of_plus(weave, space, strength):
+    pixels = many_samples(np.random.default_rng(9), 64, 12)
+    rules = {"weave": weave, "space": space, "strength": strength}
+    found = flattened(*pixels, window=Window(0, 0, 8, 8), blending="woven", **rules)
+    plain = flattened(*pixels, blending="traditional")
+    assert np.abs(found[:, 3] - plain[:, 3]).max() < 1e-6
+    assert np.abs((found - plain)[:, :3] @ LUMINANCE).max() < 2e-6
+
+
+@pytest.mark.usefixtures("by_each_engine")
+@pytest.mark.parametrize("strength", STRENGTH_NAMES)
+@given(pixels=st.lists(PIXELS, min_size=1, max_size=6))
+def test_woven_samples_of_one_hue_are_plus(strength, pixels):
+    one = [[(0.1 * s[3], 0.4 * s[3], 0.2 * s[3], *s[3:]) for s in pixel] for pixel in pixels]
+    found = flattened(*one, blending="woven", strength=strength)
+    assert np.abs(found - flattened(*one, blending="traditional")).max() < 1e-6
+
+
+@pytest.mark.usefixtures("by_each_engine")
+@pytest.mark.parametrize("strength", STRENGTH_NAMES)
+def test_volumes_in_one_place_keep_the_shares_of_their_densities(strength):
+    """However finely others cut them: a red of density 3 and a blue of 1, over many pixels."""
+    red, blue = 1 - math.exp(-3), 1 - math.exp(-1)
+    # Of one chroma, so that no strength tells colours apart from amounts.
+    of_red, of_blue = (valid_color(h, s, 0.2) for h, s in ((10, 0.3), (250, 0.3)))
+    lengths = [oracle.length(oracle.difference(c)) for c in (of_red, of_blue)]
+    of_blue = oracle.color(0.2, oracle.scaled(lengths[0] / lengths[1], oracle.difference(of_blue)))
+    pixel = [(*oracle.scaled(red, of_red), red, 1.0, 3.0), (*oracle.scaled(blue, of_blue), blue, 1.0, 3.0)]
+    cuts = [(0.0, 0.0, 0.0, 0.0, float(z), float(z)) for z in np.linspace(1, 3, 50)]
+    side = 64
+    strengths = [oracle.oklab_chroma(c) for c in (of_red, of_blue)]
+    weight = {"chroma": (1, 1), "perceived": strengths}.get(
+        strength, [c / (c + oracle.HALF_STRENGTH) for c in strengths]
+    )
+    wanted = 3 * weight[0] / (3 * weight[0] + weight[1])
+    made = []
+    for samples in (pixel, [*pixel, *cuts]):
+        window = Window(0, 0, side, side)
+        found = flattened(*[samples] * side**2, window=window, blending="woven", strength=strength)
+        made.append(found)
+        is_red = found[:, 0] > found[:, 2]
+        assert abs(is_red.mean() - wanted) < 0.01
+    assert (made[0][:, 0] > made[0][:, 2]).tolist() == (made[1][:, 0] > made[1][:, 2]).tolist()
+    assert np.abs(made[1] - made[0]).max() < ROUNDING
+
+
+@given(PIXELS)
+def test_what_is_seen_of_samples_adds_up_to_the_pixel(pixel):
+    counts, rgba = deepsamples.seen(of_pixels(pixel))
+    assert counts.tolist() == [len(rgba)]
+    assert len(rgba) <= len(pixel)
+    wanted = deeporacle.flat(pixel, "traditional")
+    assert np.abs(rgba.sum(axis=0, dtype=float) - wanted).max() < ROUNDING

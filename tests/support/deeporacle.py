@@ -50,15 +50,16 @@ def is_volume(sample):
 
 
 def split(samples):
-    """Volumes split at every depth where a sample begins or ends inside them."""
+    """(number, piece) of samples: volumes split at every depth where a sample begins or ends inside them."""
     marks = sorted({depth for s in samples for depth in (s[4], max(s[4], s[5]))})
     found = []
-    for sample in samples:
+    for number, sample in enumerate(samples):
         if not is_volume(sample):
-            found.append((*sample[:4], sample[4], sample[4]))
+            found.append((number, (*sample[:4], sample[4], sample[4])))
             continue
         inside = [z for z in marks if sample[4] <= z <= sample[5]]
-        found += [part(sample, near, far) for near, far in itertools.pairwise(inside)]
+        for near, far in itertools.pairwise(inside):
+            found.append((number, part(sample, near, far)))
     return found
 
 
@@ -79,38 +80,76 @@ def merge_weights(samples):
 
 
 def weighted(samples):
-    """Coincident samples scaled so that their merged sample is what they add up to."""
+    """Coincident samples (R, G, B, alpha) scaled so that their merged sample is what they add up to."""
     weights, alpha = merge_weights(samples)
-    return [oracle.scaled(w, s[:3]) for w, s in zip(weights, samples, strict=True)], alpha
+    return [oracle.scaled(w, s[:4]) for w, s in zip(weights, samples, strict=True)], alpha
+
+
+def by_place(samples):
+    """The pieces of samples in lists of those that coincide, from the front: (numbers, pieces)."""
+    places = {}
+    for number, piece in split(samples):
+        places.setdefault(piece[4:], []).append((number, piece))
+    return [zip(*together, strict=True) for _, together in sorted(places.items())]
 
 
 def tidy(samples, add_all):
-    """Sorted and apart, front first: (R, G, B, alpha) each; `add_all` adds coincident colours."""
-    places = {}
-    for sample in split(samples):
-        places.setdefault(sample[4:], []).append(sample)
+    """Sorted and apart, front first: (R, G, B, alpha) each; `add_all` adds coincident ones' colours."""
     found = []
-    for _, together in sorted(places.items()):
-        colors, alpha = weighted(together)
-        found.append((*(colors[0] if len(colors) == 1 else add_all(colors)), alpha))
+    for _, together in by_place(samples):
+        terms, alpha = weighted(together)
+        found.append((*(terms[0][:3] if len(terms) == 1 else add_all(terms)), alpha))
     return found
 
 
-def plain_sum(colors):
+def plain_sum(terms):
     total = (0.0, 0.0, 0.0)
-    for color in colors:
-        total = oracle.added(total, color)
+    for term in terms:
+        total = oracle.added(total, term[:3])
     return total
 
 
-def flat(samples, blending="hue-preserving", order="bottom-up", hue_tolerance=2.0):
-    """(R, G, B, alpha) of one pixel."""
-    samples = [(*s[:3], min(max(s[3], 0.0), 1.0), *s[4:]) for s in samples]
+def clamped(samples):
+    return [(*s[:3], min(max(s[3], 0.0), 1.0), *s[4:]) for s in samples]
 
-    def add_all(colors):
+
+def seen(samples):
+    """(R, G, B, alpha) of what is seen of each sample, all its pieces together."""
+    samples = clamped(samples)
+    totals = [(0.0,) * 4 for _ in samples]
+    transmittance = 1.0
+    for numbers, together in by_place(samples):
+        terms, alpha = weighted(together)
+        for number, term in zip(numbers, terms, strict=True):
+            totals[number] = oracle.added(totals[number], oracle.scaled(transmittance, term))
+        transmittance *= 1 - alpha
+    return totals
+
+
+def woven(samples, u, background=None, strength="chroma"):
+    """The woven pixel, as `oracle.woven` gives it: its terms are the samples, as far as they are seen."""
+    terms = seen(samples) or [(0.0,) * 4]
+    return oracle.woven(
+        "linear-rgb", terms, u, ["plus"] * len(terms), background=background, strength=strength
+    )
+
+
+def flat(
+    samples, blending="hue-preserving", order="bottom-up", hue_tolerance=2.0, strength="chroma"
+):
+    """(R, G, B, alpha) of one pixel. A merged sample is as strong as its own colour and alpha are."""
+    samples = clamped(samples)
+
+    def add_all(terms):
         if blending == "traditional":
-            return plain_sum(colors)
-        return oracle.simultaneous(colors, hue_tolerance)
+            return plain_sum(terms)
+        if strength == "chroma":
+            return oracle.simultaneous([term[:3] for term in terms], hue_tolerance)
+        strong = [
+            oracle.with_strength(term[:3], oracle.strength_of(strength, term[:3], term[3]))
+            for term in terms
+        ]
+        return oracle.simultaneous(strong, hue_tolerance)[:3]
 
     layers = []
     for sample in tidy(samples, add_all):
@@ -121,7 +160,7 @@ def flat(samples, blending="hue-preserving", order="bottom-up", hue_tolerance=2.
         return (0.0, 0.0, 0.0, 0.0)
     layers = layers[::-1]
     n = len(layers)
-    return oracle.composite(
-        layers, [None] + ["over"] * (n - 1), [1.0] * n,
+    return oracle.composite_in(
+        "linear-rgb", layers, strength=strength, ops=[None] + ["over"] * (n - 1),
         blending=blending, order=order, hue_tolerance=hue_tolerance,
     )  # fmt: skip
