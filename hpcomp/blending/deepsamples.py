@@ -72,33 +72,22 @@ def tidied(samples: DeepSamples, merge: Merge) -> tuple[Ints, Floats]:
     Making an Image Tidy.
     """
     pixel = samples.pixel
-    front = samples.front + np.float32(0)  # -0 and 0 are one depth
-    back = np.maximum(front, samples.back)
-    messy = np.zeros(len(samples.counts), bool)
-    messy[pixel[1:][~_tidy_pairs(pixel, front, back)]] = True
-    if not messy.any():
-        return samples.counts, samples.rgba
-    found = messy[pixel]
-    there, front, back, rgba = pixel[found], front[found], back[found], samples.rgba[found]
-    order = _by_depth(there, front, back, rgba)
-    front, back, rgba = front[order], back[order], rgba[order]
-
-    overlapping = np.zeros_like(messy)
-    overlapping[there[1:][~_tidy_pairs(there, front, back)]] = True
-    split = overlapping[there]
+    order, front, back, overlapping = _sorted(samples)
+    rgba = samples.rgba[order]
+    if not overlapping.any():
+        return samples.counts, rgba
+    split = overlapping[pixel]
     counts = samples.counts.copy()
     counts[overlapping] = 0
-    pieces = _merged_pieces(there[split], front[split], back[split], rgba[split], merge)
+    pieces = _merged_pieces(pixel[split], front[split], back[split], rgba[split], merge)
     for pixels, _ in pieces:
         counts = counts + np.bincount(pixels, minlength=len(counts))
 
     begin = _starts(counts)
     result = np.empty((int(counts.sum()), 4), np.float32)
     shift = begin - _starts(samples.counts)
-    keep = np.flatnonzero(~found)
-    result[keep + shift[pixel[keep]]] = samples.rgba[keep]
-    keep = np.flatnonzero(found)[~split]
-    result[keep + shift[pixel[keep]]] = rgba[~split]
+    keep = np.flatnonzero(~split)
+    result[keep + shift[pixel[keep]]] = rgba[keep]
     for pixels, colors in pieces:
         first, lengths = _runs(pixels)
         within = np.arange(len(pixels)) - np.repeat(first, lengths)
@@ -115,15 +104,17 @@ def seen(samples: DeepSamples) -> tuple[Ints, Floats]:
     on the order of a pixel's samples.
     """
     pixel = samples.pixel
-    front = samples.front + np.float32(0)  # -0 and 0 are one depth
-    back = np.maximum(front, samples.back)
-    order = _by_depth(pixel, front, back, samples.rgba)
-    front, back, rgba = front[order], back[order], samples.rgba[order]
-    weights = np.zeros(len(order))
+    order, front, back, overlapping = _sorted(samples)
+    rgba = samples.rgba[order]
+    alpha, split = rgba[:, 3], overlapping[pixel]
+    apart, cut = np.flatnonzero(~split), np.flatnonzero(split)
+    weights = np.zeros(len(pixel))
     let_through = np.ones(len(samples.counts))
-    for pieces in _split(pixel, front, back, rgba[:, 3]):
-        in_front = np.repeat(_in_front(let_through, pieces), pieces.lengths)
-        np.add.at(weights, pieces.sample, in_front * pieces.weights)
+    weights[apart] = _in_front(let_through, pixel[apart], 1 - alpha[apart].astype(float))
+    for pieces in _split(pixel[cut], front[cut], back[cut], alpha[cut]):
+        in_front = _in_front(let_through, pieces.pixel, pieces.transmittance)
+        of_pieces = np.repeat(in_front, pieces.lengths) * pieces.weights
+        np.add.at(weights, cut[pieces.sample], of_pieces)
     some = weights != 0
     counts = np.bincount(pixel[some], minlength=len(samples.counts))
     return counts, (rgba[some] * weights[some, None]).astype(np.float32)
@@ -173,6 +164,31 @@ def stack_heights(counts: Ints) -> Ints:
 def _starts(counts: Ints) -> Ints:
     """The first sample of each pixel."""
     return np.cumsum(counts) - counts
+
+
+def _sorted(samples: DeepSamples) -> tuple[Ints | slice, Floats, Floats, Bools]:
+    """The order of all by pixel and depth, fronts and backs in it, and what pixels are to be split.
+
+    These (pixels) have samples that coincide or overlap. A back is not before its front.
+    """
+    pixel = samples.pixel
+    front = samples.front + np.float32(0)  # -0 and 0 are one depth
+    back = np.maximum(front, samples.back)
+    messy = _untidy(pixel, front, back, len(samples.counts))
+    if not messy.any():
+        return slice(None), front, back, messy
+    order = np.arange(len(pixel))
+    found = np.flatnonzero(messy[pixel])
+    order[found] = found[_by_depth(pixel[found], front[found], back[found], samples.rgba[found])]
+    front, back = front[order], back[order]
+    return order, front, back, _untidy(pixel, front, back, len(messy))
+
+
+def _untidy(pixel: Ints, front: Floats, back: Floats, pixels: int) -> Bools:
+    """Which of so many pixels have samples that are not one behind the other as they are."""
+    found = np.zeros(pixels, bool)
+    found[pixel[1:][~_tidy_pairs(pixel, front, back)]] = True
+    return found
 
 
 def _tidy_pairs(pixel: Ints, front: Floats, back: Floats) -> Bools:
@@ -233,17 +249,18 @@ def _merged_pieces(
     return found
 
 
-def _in_front(let_through: Floats, pieces: _Pieces) -> Floats:
-    """What is let through in front of each run, beginning with `let_through` (pixels), updated.
+def _in_front(let_through: Floats, pixel: Ints, transmittance: Floats) -> Floats:
+    """What is let through in front of each of what follows in pixels, one pixel after the other.
 
-    One run of all pixels after the other, so that a pixel's number is not touched by the others.
+    `let_through` (pixels) is what was before, and is updated. A factor after the other, so that
+    what else there is has no part in a pixel's rounding.
     """
-    in_front = np.empty(len(pieces.pixel))
-    first, lengths = _runs(pieces.pixel)
+    in_front = np.empty(len(pixel))
+    first, lengths = _runs(pixel)
     for step in range(lengths.max(initial=0)):
-        run = first[lengths > step] + step
-        in_front[run] = let_through[pieces.pixel[run]]
-        let_through[pieces.pixel[run]] *= pieces.transmittance[run]
+        at = first[lengths > step] + step
+        in_front[at] = let_through[pixel[at]]
+        let_through[pixel[at]] *= transmittance[at]
     return in_front
 
 

@@ -104,23 +104,47 @@ def test_every_order_is_that_of_the_paper(desk, name, order):
 @pytest.mark.parametrize("order", ORDER_NAMES)
 @pytest.mark.parametrize("space", ["linear-rgb", "oklab"])
 def test_samples_apart_are_a_stack_of_their_slices(tmp_path, order, space):
+    slices = write_slices(tmp_path, "deep.exr")
+    settings = {"order": order, "space": space, **ALL_BUT_THE_ORDER}
+    hpcomp.stack(slices, tmp_path / "stack.exr", **settings)
+    hpcomp.flatten(tmp_path / "deep.exr", tmp_path / "flat.exr", **settings)
+    assert (tmp_path / "flat.exr").read_bytes() == (tmp_path / "stack.exr").read_bytes()
+
+
+@pytest.mark.parametrize("weave", ["stripes", "noise"])
+@pytest.mark.parametrize("space", ["linear-rgb", "oklab"])
+@pytest.mark.parametrize("strength", ["chroma", "perceived", "coverage"])
+def test_woven_samples_apart_are_a_woven_stack_of_their_slices(tmp_path, strength, space, weave):
+    """With the phases of the canvas, whose corner is elsewhere; but for what weights round to."""
+    slices = write_slices(tmp_path, "deep.exr", origin=(-4, 7))
+    settings = {"blending": "woven", "strength": strength, "space": space, "weave": weave, "weave_size": 3}
+    settings |= {"canvas": "8x6-5+8", **ALL_BUT_THE_ORDER}
+    hpcomp.stack(slices, tmp_path / "stack.exr", **settings)
+    hpcomp.flatten(tmp_path / "deep.exr", tmp_path / "flat.exr", **settings)
+    found, wanted = pixels_of(tmp_path / "flat.exr"), pixels_of(tmp_path / "stack.exr")
+    assert np.ptp(wanted[..., 0]) > 0.1
+    assert np.abs(found - wanted).max() < 1e-5
+
+
+#: Whatever else a stack may be asked for.
+ALL_BUT_THE_ORDER = {"depth": "float", "background": "#336699", "exposure": 0.5}
+ALL_BUT_THE_ORDER |= {"gray_bias": 0.25, "hue_tolerance": 3, "primaries": "rec2020"}
+
+
+def write_slices(folder, name, origin=(0, 0)):
+    """A deep file of four samples a pixel at four depths, and flat ones of each depth, the farthest first."""
     rng = np.random.default_rng(7)
     counts = np.full((6, 9), 4)
     alpha = rng.random(216).astype("f4") * 0.8
     planes = {name: (rng.random(216) * alpha).astype("f4") for name in "RGB"} | {"A": alpha}
     depth = np.tile(np.array([4, 1, 3, 2], "f4"), 54)
-    deepfile.write(tmp_path / "deep.exr", Deep(counts, {**planes, "Z": depth}))
+    deepfile.write(folder / name, Deep(counts, {**planes, "Z": depth}, origin=origin))
     slices = []
     for z in (4, 3, 2, 1):
-        slices.append(tmp_path / f"{z}.exr")
-        exrfile.write(
-            slices[-1], {name: plane[depth == z].reshape(6, 9) for name, plane in planes.items()}
-        )
-    settings = {"order": order, "space": space, "depth": "float", "background": "#336699"}
-    settings |= {"exposure": 0.5, "gray_bias": 0.25, "hue_tolerance": 3, "primaries": "rec2020"}
-    hpcomp.stack(slices, tmp_path / "stack.exr", **settings)
-    hpcomp.flatten(tmp_path / "deep.exr", tmp_path / "flat.exr", **settings)
-    assert (tmp_path / "flat.exr").read_bytes() == (tmp_path / "stack.exr").read_bytes()
+        slices.append(folder / f"{z}.exr")
+        of_depth = {name: plane[depth == z].reshape(6, 9) for name, plane in planes.items()}
+        exrfile.write(slices[-1], of_depth, origin=origin)
+    return slices
 
 
 def test_a_label_keeps_its_hue_inside_another(desk):
@@ -197,37 +221,42 @@ def test_a_data_window_beyond_the_canvas_is_cut_or_kept(desk):
 
 
 @pytest.mark.parametrize("tile", [None, (16, 12)])
-@pytest.mark.parametrize("order", ["bottom-up", "simultaneous"])
-def test_threads_and_strips_change_no_byte(desk, monkeypatch, tile, order):
+@pytest.mark.parametrize(
+    "rules", [{"order": "bottom-up"}, {"order": "simultaneous"}, {"preset": "woven"}], ids=str
+)
+def test_threads_and_strips_change_no_byte(desk, monkeypatch, tile, rules):
     deepfile.write(desk / "a.exr", noise(40, 50, 12, tidy=False, tile=tile))
     monkeypatch.chdir(desk.folder)
     made = set()
     for samples, rows, threads in ((1, 64, 1), (1, 64, 3), (4000, 7, 2), (1 << 18, 64, 1)):
         monkeypatch.setattr(deepbudget, "STRIP_SAMPLES", samples)
         monkeypatch.setattr(deepbudget, "STRIP_ROWS", rows)
-        hpcomp.flatten("a.exr", "out.exr", order=order, threads=threads)
+        hpcomp.flatten("a.exr", "out.exr", threads=threads, **rules)
         made.add((desk / "out.exr").read_bytes())
     assert len(made) == 1
 
 
-def test_little_memory_changes_no_byte(desk):
+@pytest.mark.parametrize("preset", ["paper", "woven"])
+def test_little_memory_changes_no_byte(desk, preset):
     deepfile.write(desk / "a.exr", noise(300, 60, 12, tidy=False, tile=(64, 50)))
-    desk.makes("flatten", "a.exr", "-o", "much.exr")
-    desk.makes("flatten", "a.exr", "-o", "little.exr", "--max-memory", "16M")
+    how = ("flatten", "a.exr", "--preset", preset, "-o")
+    desk.makes(*how, "much.exr")
+    desk.makes(*how, "little.exr", "--max-memory", "16M")
     assert (desk / "much.exr").read_bytes() == (desk / "little.exr").read_bytes()
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("preset", ["paper", "woven"])
 @pytest.mark.parametrize("threads", [1, 2])
 @pytest.mark.parametrize(
     "options",
     [{"tidy": True, "volumes": False}, {"tidy": False}, {"tidy": False, "tile": (64, 128)}],
     ids=str,
 )
-def test_memory_stays_in_the_budget(tmp_path, threads, options):
+def test_memory_stays_in_the_budget(tmp_path, threads, options, preset):
     deepfile.write(tmp_path / "tiny.exr", noise(4, 4, 3, **options))
     deepfile.write(tmp_path / "a.exr", noise(1000, 260, 14, **options))
-    out = ["-o", tmp_path / "out.exr", "--threads", threads]
+    out = ["-o", tmp_path / "out.exr", "--threads", threads, "--preset", preset]
     base, code, stderr = peak("flatten", tmp_path / "tiny.exr", *out)
     assert (code, stderr) == (0, "")
     for budget in (64, 160):
@@ -250,11 +279,13 @@ def skewed(samples, seed=0, *, apart=True):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("order", ORDER_NAMES)
-def test_thousands_of_samples_in_one_pixel_stay_in_the_budget(tmp_path, order):
+@pytest.mark.parametrize(
+    "rules", [*(["--order", name] for name in ORDER_NAMES), ["--blending", "woven"]], ids=str
+)
+def test_thousands_of_samples_in_one_pixel_stay_in_the_budget(tmp_path, rules):
     deepfile.write(tmp_path / "tiny.exr", skewed(3))
     deepfile.write(tmp_path / "a.exr", skewed(5000))
-    how = ["-o", tmp_path / "out.exr", "--order", order, "--depth", "float"]
+    how = ["-o", tmp_path / "out.exr", *rules, "--depth", "float"]
     base, *_ = peak("flatten", tmp_path / "tiny.exr", *how)
     most, code, stderr = peak("flatten", tmp_path / "a.exr", *how, "--max-memory", "96M")
     assert (code, stderr) == (0, "")
@@ -264,6 +295,27 @@ def test_thousands_of_samples_in_one_pixel_stay_in_the_budget(tmp_path, order):
     assert alpha > 0.99
     strong, weak = max(red, blue), min(red, blue)
     assert (green - weak) / (strong - weak) == pytest.approx(0.05 if red > blue else 0.1, abs=0.01)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["points", "places", "volumes"])
+@pytest.mark.parametrize("by", engine.NAMES)
+def test_thousands_of_woven_samples_stay_in_the_budget(tmp_path, by, kind):
+    """Points apart or in one place, and volumes of which each cuts all others, into millions of pieces."""
+    number, budget = 3000, 96
+    env = {engine.VARIABLE: by}
+    deepfile.write(tmp_path / "tiny.exr", skewed(3))
+    deep = skewed(number, apart=kind != "places")
+    if kind == "volumes":
+        back = 2 * number - deep.planes["Z"]
+        deep = dataclasses.replace(deep, planes={**deep.planes, "ZBack": back})
+    deepfile.write(tmp_path / "a.exr", deep)
+    how = ["-o", tmp_path / "out.exr", "--depth", "float", "--blending", "woven"]
+    base, *_ = peak("flatten", tmp_path / "tiny.exr", *how, env=env)
+    most, code, stderr = peak("flatten", tmp_path / "a.exr", *how, "--max-memory", f"{budget}M", env=env)
+    assert (code, stderr) == (0, "")
+    assert most - base <= budget + NOISE_M
+    assert pixels_of(tmp_path / "out.exr")[2, 3, 3] > 0.99
 
 
 @pytest.mark.slow
