@@ -39,17 +39,38 @@ Mask = NDArray[np.bool_]
 METHODS: dict[str, dict[str, Any]] = {
     "ordinary blending": {"blending": "traditional"},
     "foremost": {"blending": "foremost"},
-    "⊕ as published": {},
+    "⊕ as published": {"preset": "paper"},
     "⊕ simultaneous": {"order": "simultaneous"},
-    "⊕ simultaneous, oklab": {"order": "simultaneous", "space": "oklab"},
-    "⊕ simultaneous, oklab, bias 1": {"order": "simultaneous", "space": "oklab", "gray_bias": 1},
+    "labels": {"preset": "labels"},
+    "labels, bias 0": {"preset": "labels", "gray_bias": 0.0},
+    "labels, bias 0.5": {"preset": "labels", "gray_bias": 0.5},
+    "labels, perceived": {"preset": "labels", "strength": "perceived"},
+    "labels, chroma": {"preset": "labels", "strength": "chroma"},
+    "labels, bottom-up": {"preset": "labels", "order": "bottom-up"},
+    "labels, cielab": {"preset": "labels", "space": "cielab"},
+    "labels, linear-rgb": {"preset": "labels", "space": "linear-rgb"},
+    "woven": {"preset": "woven"},
+    "woven, chroma": {"preset": "woven", "strength": "chroma"},
+    "woven, perceived": {"preset": "woven", "strength": "perceived"},
+    "woven, coverage": {"preset": "woven", "strength": "coverage"},
+    "woven, oklab": {"preset": "woven", "space": "oklab"},
+    "woven, size 4": {"preset": "woven", "weave_size": 4},
+    "woven, size 16": {"preset": "woven", "weave_size": 16},
+    "woven, noise 2": {"preset": "woven", "weave": "noise", "weave_size": 2},
+    "woven, noise 4": {"preset": "woven", "weave": "noise", "weave_size": 4},
+    "woven, noise 8": {"preset": "woven", "weave": "noise", "weave_size": 8},
 }
 ORDINARY = "ordinary blending"
+#: What no rule that shows one hue at a pixel can surpass: only the label that covers most is in
+#: colour, the others are greys of their luminance, in Oklab.
+BEST = "only what covers most"
+#: The rows of the short table.
+SHORT = (ORDINARY, "foremost", "⊕ as published", "labels", "woven", BEST)
 
 #: The weighted chroma of a label in linear RGB from which on it is there to be seen.
 PRESENT = 0.02
-#: That below which 8 bits show nothing of it.
-TRACE = 0.001
+#: The weight times alpha of a label from which on there is anything of it.
+TRACE = 1e-4
 #: The Oklab chroma below which a colour is grey.
 GREY = 0.02
 #: How far from a label's hue a hue still is this label's, in degrees.
@@ -100,7 +121,7 @@ class Seen:
     (n): by how many degrees the rounding to codes may have turned the hue. `at` (height, width).
     """
 
-    codes: NDArray[np.uint8]
+    codes: NDArray[np.int64]
     rgb: Plane
     hue: Plane
     chroma: Plane
@@ -126,9 +147,8 @@ def seen(path: Path) -> Seen:
     for channel in range(3):
         step = 0.5 * (np.arange(3) == channel)
         turn += np.maximum(*(apart(hue(decoded((codes + s * step) / 255)), hues) for s in (-1, 1)))
-    return Seen(
-        codes.astype(np.uint8), rgb, hues, np.hypot(lab[:, 1], lab[:, 2]), turn, at.reshape(pixels.shape[:2])
-    )
+    chroma = np.hypot(lab[:, 1], lab[:, 2])
+    return Seen(codes, rgb, hues, chroma, turn, at.reshape(pixels.shape[:2]))
 
 
 @dataclass(frozen=True)
@@ -159,7 +179,7 @@ def labels_of(scene: Scene, colors: Sequence[str]) -> Labels:
     present = chroma > PRESENT
     return Labels(
         present,
-        chroma > TRACE,
+        covers > TRACE,
         np.where(present, covers, 0).argmax(axis=0),
         present.sum(axis=0) >= 2,
         rgb,
@@ -188,14 +208,14 @@ def through_window(labels: Labels, picture: Seen) -> tuple[Plane, Plane, float]:
     """(a): of each label the pixels where it is found, and all of its pixels; the foreign share."""
     from scipy.ndimage import maximum_filter
 
-    has_hue = hues_of(labels, picture)
-    named = has_hue & (picture.turn <= MOST_TURN)
+    has_hue, readable = hues_of(labels, picture), picture.turn <= MOST_TURN
+    named = has_hue & readable
     found, pixels = np.zeros(len(named)), np.zeros(len(named))
     for number, present in enumerate(labels.present):
         in_window = maximum_filter(named[number][picture.at], size=WINDOW)
         found[number], pixels[number] = (present & in_window).sum(), present.sum()
     own = (has_hue[:, picture.at] & labels.touched).any(axis=0)
-    colored = (picture.chroma >= GREY)[picture.at]
+    colored = ((picture.chroma >= GREY) & readable)[picture.at]
     return found, pixels, float((colored & ~own).sum() / max(colored.sum(), 1))
 
 
@@ -262,17 +282,17 @@ def read_case(case: Case, methods: Sequence[str], keep: str | None) -> dict[str,
     name, palette, first = case
     scene = _scene(name)
     colors = scene.colors or colors_of(palette, first, len(scene.alpha))
-    labels = labels_of(scene, colors)
+    labels, layers = labels_of(scene, colors), scene.layers(colors)
     with tempfile.TemporaryDirectory() as folder:
-        layers = []
-        for number, layer in enumerate(scene.layers(colors)):
-            layers.append(os.path.join(folder, f"{number}.exr"))
-            hpcomp.write_image(layers[-1], layer, depth="float", compression="none")
+        files = _written(layers, folder, "layer")
         pictures = {}
         for method in dict.fromkeys((ORDINARY, *methods)):
-            path = Path(folder, f"{method}.png")
-            hpcomp.stack(layers, path, threads=1, **METHODS[method])
-            pictures[method] = path
+            pictures[method] = Path(folder, f"{method}.png")
+            if method == BEST:
+                grey = _written(_only_covering(layers, labels), folder, "grey")
+                hpcomp.stack(grey, pictures[method], threads=1, space="oklab")
+            else:
+                hpcomp.stack(files, pictures[method], threads=1, **METHODS[method])
         views = {method: seen(path) for method, path in pictures.items()}
         if keep and first == 0:
             _contact_sheet(Path(keep, f"{name} {palette}.png"), [pictures[m] for m in methods])
@@ -287,6 +307,25 @@ def read_case(case: Case, methods: Sequence[str], keep: str | None) -> dict[str,
             luminance_differs(views[method], views[ORDINARY]),
         )
     return readings
+
+
+def _written(layers: Sequence[Plane], folder: str, name: str) -> list[str]:
+    import hpcomp
+
+    paths = [os.path.join(folder, f"{name}{number}.exr") for number in range(len(layers))]
+    for path, layer in zip(paths, layers, strict=True):
+        hpcomp.write_image(path, layer, depth="float", compression="none")
+    return paths
+
+
+def _only_covering(layers: Sequence[Plane], labels: Labels) -> list[Plane]:
+    """The layers, the ground first, with each label in colour only where it covers most."""
+    drawn = [layers[0]]
+    for number, layer in enumerate(layers[1:]):
+        grey = layer.copy()
+        grey[..., :3] = (layer[..., :3] @ LUMINANCE)[..., None]
+        drawn.append(np.where((labels.covering == number)[..., None], layer, grey))
+    return drawn
 
 
 def _contact_sheet(path: Path, pictures: Sequence[Path]) -> None:
@@ -338,11 +377,11 @@ def whole_table(readings: Mapping[str, Mapping[str, Sequence[Reading]]]) -> str:
 def short_table(readings: Mapping[str, Mapping[str, Sequence[Reading]]]) -> str:
     """Markdown: a row for each method; the pictures of a scene count as one, and scenes alike."""
     lines = ["| method | found | foreign | right / wrong / grey |", "|---|---|---|---|"]
-    for method, of_scene in readings.items():
+    for method in (name for name in SHORT if name in readings):
         found, foreign, *overlaps = np.mean(
             [
                 np.mean([(r.found, r.foreign, *r.overlaps) for r in own], axis=0)
-                for own in of_scene.values()
+                for own in readings[method].values()
             ],
             axis=0,
         )
@@ -354,11 +393,11 @@ def short_table(readings: Mapping[str, Mapping[str, Sequence[Reading]]]) -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     names = [make.__name__ for make in SCENES]
-    parser.add_argument("--only", action="append", choices=METHODS, metavar="METHOD")
+    parser.add_argument("--only", action="append", choices=[*METHODS, BEST], metavar="METHOD")
     parser.add_argument("--scene", action="append", choices=names)
     parser.add_argument("--pictures", metavar="DIRECTORY", help="save contact sheets there")
     given = parser.parse_args()
-    methods, all_cases = given.only or list(METHODS), cases(given.scene or names)
+    methods, all_cases = given.only or [*METHODS, BEST], cases(given.scene or names)
     readings: dict[str, dict[str, list[Reading]]] = {m: defaultdict(list) for m in methods}
     with ProcessPoolExecutor() as processes:
         jobs = [processes.submit(read_case, case, methods, given.pictures) for case in all_cases]

@@ -59,13 +59,11 @@ class Scene:
     ground: Plane
     colors: tuple[str, ...] = ()
 
-    def layers(self, colors: Sequence[str]) -> list[NDArray[np.float32]]:
+    def layers(self, colors: Sequence[str]) -> list[Plane]:
         """The ground, and each label in its colour: (height, width, 4), linear, premultiplied."""
-        drawn = [np.stack([*[self.ground] * 3, np.ones_like(self.ground)], axis=-1)]
-        for alpha, color in zip(self.alpha, colors, strict=True):
-            rgba = np.array([*linear(color), 1.0])
-            drawn.append(alpha[..., None] * rgba)
-        return [layer.astype(np.float32) for layer in drawn]
+        ground = np.stack([*[self.ground] * 3, np.ones_like(self.ground)], axis=-1)
+        straight = [np.array([*linear(color), 1.0]) for color in colors]
+        return [ground, *(a[..., None] * c for a, c in zip(self.alpha, straight, strict=True))]
 
 
 def _on_paper(name: str, coverage: Sequence[Plane]) -> Scene:
@@ -212,7 +210,9 @@ def _package(name: str) -> Path:
     """The folder of an installed package, which is not imported. Errors: `SystemExit`."""
     spec = importlib.util.find_spec(name)
     if spec is None or spec.origin is None:
-        raise SystemExit(f"{name} is missing, whose data a scene shows: see the first lines of observer.py")
+        raise SystemExit(
+            f"{name} is missing, whose data a scene shows: see the first lines of observer.py"
+        )
     return Path(spec.origin).parent
 
 
