@@ -52,7 +52,6 @@ METHODS: dict[str, dict[str, Any]] = {
     "woven": {"preset": "woven"},
     "woven, chroma": {"preset": "woven", "strength": "chroma"},
     "woven, perceived": {"preset": "woven", "strength": "perceived"},
-    "woven, coverage": {"preset": "woven", "strength": "coverage"},
     "woven, oklab": {"preset": "woven", "space": "oklab"},
     "woven, size 4": {"preset": "woven", "weave_size": 4},
     "woven, size 16": {"preset": "woven", "weave_size": 16},
