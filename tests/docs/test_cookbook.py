@@ -55,10 +55,10 @@ def steps(number):
     return found
 
 
-def test_there_are_eleven_recipes_and_the_list_at_the_top_names_them():
+def test_there_are_thirteen_recipes_and_the_list_at_the_top_names_them():
     listed = re.findall(r"^(\d+)\. \[(.*)\]\(#.*\)$", PAGE, re.MULTILINE)
     assert listed == [(str(number), title) for number, (title, _) in RECIPES.items()]
-    assert list(RECIPES) == list(range(1, 12))
+    assert list(RECIPES) == list(range(1, 14))
 
 
 def test_every_block_of_the_page_belongs_to_a_recipe_and_is_of_a_kind_that_is_run():
@@ -280,8 +280,54 @@ def test_4_comparison(kitchen):
     assert 'type="range"' in Path("map.html").read_text()  # the slider
 
 
-def test_5_multilayer(kitchen):
-    runs = cook(5)
+def visible(path, **options):
+    """The share of both labels' pixels where a reader finds them."""
+    layers = ["base.png", "roads.png::opacity=0.6", "rivers.exr"]
+    return hpcomp.check(path, layers, min_visible="0%", **options).visible_share
+
+
+def test_5_woven(kitchen):
+    woven, plain, grains = cook(5)
+    assert quietly(woven).count("passed") == 2
+    assert quietly(grains) == ""
+    labels = sorted([*hues("rivers.exr"), *hues("roads.png")])
+    overlap = pixels("woven.png")[200:300], pixels("grains.png")[200:300]
+    for part in overlap:
+        found = hpcomp.hue_histogram(part).peaks
+        assert sorted(round(peak.hue) for peak in found) == labels
+        assert min(peak.share for peak in found) > 0.2
+    assert visible("woven.png", preset="woven") == visible("grains.png", preset="woven") == 1
+    assert visible("map.png") < 0.9
+    # Where a label is alone nothing changes; the pattern shows in the luminance of no pixel.
+    same, other = pixels("woven.png"), pixels("map.png")
+    assert np.abs(same[:200] - other[:200]).max() < 0.01
+    weights = np.array([0.2126, 0.7152, 0.0722])
+    assert np.abs((same - other)[..., :3] @ weights).max() < 0.01
+    assert np.ptp(same[200:300, :, :3] @ weights) < 0.01
+    each = re.search(r"`(--min-visible layer:roads=90%)`", PAGE)[1]
+    quietly(sh(f"hpcomp check woven.png base.png 'roads.png::opacity=0.6' rivers.exr {each}"))
+
+
+def test_6_labels(kitchen):
+    (run,) = cook(6)
+    assert quietly(run) == ""
+    report = json.loads(Path("vivid.json").read_text())["measures"]
+    lost = {"vivid": report["result"]["lost_to_grey"]}
+    layers = ["base.png", "roads.png::opacity=0.6", "rivers.exr"]
+    for name, options in {"softer": {"preset": "labels", "gray_bias": 0.5}, "paper": {}}.items():
+        found = hpcomp.stack(layers, f"{name}.png", report=f"{name}.json", **options)
+        lost[name] = found.findings.measures.result.lost
+    assert lost["vivid"] < lost["softer"] < lost["paper"]
+    # The page names what the preset chooses, all of it.
+    named = dict(re.findall(r"^- `--([\w-]+) ([\w.]+)`:", RECIPES[6][1], re.MULTILINE))
+    chosen = hpcomp.options.PRESETS["labels"]
+    assert {name.replace("-", "_"): value for name, value in named.items()} == {
+        name: f"{value:g}" if isinstance(value, float) else value for name, value in chosen.items()
+    }
+
+
+def test_7_multilayer(kitchen):
+    runs = cook(7)
     assert [run.stderr for run in runs] == ["", ""]
     (hue,) = hues("render.exr::layer=labels")
     assert hues("shaded.png") == [hue]
@@ -290,14 +336,14 @@ def test_5_multilayer(kitchen):
     # Not one pixel has another hue, as the usual filter of oiiotool would leave some.
     assert hues("labels.exr") == [hue]
     assert hpcomp.read_hues("labels.exr").occupied == 1
-    scaling = steps(5)[-1][2].partition("hpcomp")[0]
+    scaling = steps(7)[-1][2].partition("hpcomp")[0]
     quietly(sh(scaling.replace(":filter=triangle", "")))
     with pytest.warns(hpcomp.HpcompWarning, match="filters that sharpen leave such values"):
         assert hpcomp.read_hues("labels.exr").occupied > 1
 
 
-def test_6_hundreds(kitchen):
-    first, cluster = cook(6)
+def test_8_hundreds(kitchen):
+    first, cluster = cook(8)
     assert first.stdout == cluster.stdout == ""
     names = sorted(path.name for path in Path("overlays").iterdir())
     assert sorted(os.listdir("maps")) == names
@@ -312,7 +358,7 @@ def test_6_hundreds(kitchen):
     assert again.stderr.splitlines()[-1].endswith(": 2 current, 1 made")
 
 
-def test_7_frames(kitchen):
+def test_9_frames(kitchen):
     def rendered_again():
         assert sorted(os.listdir()) == sorted({*before, ".shot.json.hpcomp-state", "shot.json",
                                                "shot.log", *(f"comp.000{n}.exr" for n in (1, 3, 4, 6))})  # fmt: skip
@@ -320,7 +366,7 @@ def test_7_frames(kitchen):
             shutil.copy("fg.0001.exr", f"fg.{frame:04d}.exr")
 
     before = os.listdir()
-    first, again = cook(7, between=rendered_again)
+    first, again = cook(9, between=rendered_again)
     records = [json.loads(line) for line in Path("shot.log").read_text().splitlines()]
     assert {r["job"]: r["status"] for r in records} == {
         1: "made", 2: "failed", 3: "made", 4: "made", 5: "failed", 6: "made",
@@ -335,8 +381,8 @@ def test_7_frames(kitchen):
     assert resumed.stderr.splitlines()[-1].endswith(": 6 current")
 
 
-def test_8_make(kitchen):
-    plain, stamped = cook(8, between=lambda: Path("map.png").unlink())
+def test_10_make(kitchen):
+    plain, stamped = cook(10, between=lambda: Path("map.png").unlink())
     assert kinds(quietly(plain)) == ["stack", "stack"]
     assert kinds(quietly(stamped)) == ["stack", "hues", "stack"]
     assert "hpcomp" in Path("map.html").read_text()
@@ -362,8 +408,8 @@ def test_8_make(kitchen):
     assert hues("map.png") == hues("roads.png")
 
 
-def test_9_ninja(kitchen):
-    (run,) = cook(9)
+def test_11_ninja(kitchen):
+    (run,) = cook(11)
     assert kinds(quietly(run)) == ["stack", "hues", "stack"]
     assert run.stdout.endswith("ninja: no work to do.\n")
     assert run.stdout.count("no work to do") == 1
@@ -375,8 +421,8 @@ def test_9_ninja(kitchen):
     assert kinds(quietly(sh("ninja"))) == ["stack", "hues"]
 
 
-def test_10_failing(kitchen):
-    first, _ = cook(10)
+def test_12_failing(kitchen):
+    first, _ = cook(12)
     assert kinds(quietly(first)) == ["stack", "palette", "check"]
     assert Path("map.ok").exists()
     assert kinds(quietly(sh("make"))) == []
@@ -396,8 +442,8 @@ def test_10_failing(kitchen):
     assert "--max-foreign" in failed.stderr
 
 
-def test_11_python(kitchen):
-    (run,) = cook(11)
+def test_13_python(kitchen):
+    (run,) = cook(13)
     assert run.stderr == ""
     assert pixels("half.exr") == pytest.approx(pixels("rivers.exr") / 2)
     assert json.loads(Path("hues.json").read_text())["schema"] == "hpcomp.hues"
