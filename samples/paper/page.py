@@ -97,6 +97,9 @@ COLUMNS = {
     "lost to grey": Column(
         lambda report, side: percent(report["measures"][side]["lost_to_grey"]), same_share
     ),
+    "visible": Column(
+        lambda report, side: percent(report["measures"][side]["visible_share"]), same_share
+    ),
     "energy": Column(
         lambda report, side: f"{report['measures'][side]['energy']:,.0f}", same_energy
     ),
@@ -158,16 +161,19 @@ TABLES = {
                 Row(f"{rows}hue-preserving", f"grey-{part}"),
                 Row(f"{rows}`--gray-bias 1`", f"grey-bias-{part}"),
                 Row(f"{rows}`--order simultaneous`", f"grey-simultaneous-{part}"),
+                Row(f"{rows}`--preset woven`", f"grey-woven-{part}"),
             )
         ),
-        ("foreign hue", "lost to grey"),
+        ("foreign hue", "lost to grey", "visible"),
     ),
     "orders": Table(
         (
             Row("traditional", "orders", "traditional"),
             *(Row(f"`--order {o.replace('-', ',')}`", f"orders-{o}") for o in ORDERS),
             Row("`--order simultaneous`", "orders-simultaneous"),
+            Row("`--preset woven`", "orders-woven"),
         ),
+        ("foreign hue", "peaks", "lost to grey", "visible"),
     ),
     "oklab": Table((*two("tooth", "linear RGB, "), *two("tooth-oklab", "Oklab, "))),
     "foremost": Table(

@@ -121,6 +121,10 @@ def lost(document, side="result"):
     return document["measures"][side]["lost_to_grey"]
 
 
+def visible(document, side="result"):
+    return document["measures"][side]["visible_share"]
+
+
 def energy(document, side="result"):
     return document["measures"][side]["energy"]
 
@@ -432,8 +436,12 @@ def test_figure_15_what_is_done_about_grey(report):
     assert bias[1] < 0.7 * plain[1]
     assert together[0] == pytest.approx(plain[0], abs=1e-6)
     assert together[1] < 0.9 * plain[1]
-    for name in ("grey", "grey-bias", "grey-simultaneous"):
+    for name in ("grey", "grey-bias", "grey-simultaneous", "grey-woven"):
         assert foreign(report(name)) == 0
+    for part in ("two", "four"):
+        woven = report(f"grey-woven-{part}")
+        assert lost(woven) < 0.5 * lost(woven, "hue_preserving")
+        assert visible(woven) > 1.5 * visible(woven, "hue_preserving")
 
 
 def rows_of_greys(image):
@@ -484,6 +492,22 @@ def test_any_two_of_the_three_are_grey(picture):
     assert two.sum() > 100
     for order in (*page.ORDERS, "simultaneous"):
         assert saturation(picture(f"orders-{order}")[two]).max() < 0.01
+
+
+def test_woven_shows_each_of_the_three_in_the_middle_at_the_same_luminance(report, picture):
+    ordinary = picture("orders-traditional")[..., :3] @ flat.LUMINANCE
+    alphas = [picture(f"layers/orders/{name}")[..., 3] for name in flat.RIVALS]
+    three = np.min(alphas, axis=0) == 1
+    lights = [hsl_hue(light) for light in flat.RIVALS.values()]
+    for name in ("orders-woven", "orders-noise"):
+        woven = picture(name)
+        assert_hues(report(name), flat.RIVALS.values())
+        assert visible(report(name)) == 1
+        assert woven[..., :3] @ flat.LUMINANCE == pytest.approx(ordinary, abs=2 * HALF_STEP)
+        hues = np.array([hsl_hue(color) for color in woven[three][:, :3]])
+        for light in lights:
+            share = (np.abs((hues - light + 180) % 360 - 180) < HUE_DEG).mean()
+            assert share == pytest.approx(1 / 3, abs=0.05)
 
 
 def test_simultaneous_prefers_no_order(built, report, pixels, tmp_path):
@@ -623,7 +647,7 @@ def outputs(done, out):
 
 def test_a_touched_layer_makes_what_depends_on_it_again(built):
     done = make(built, "-n", "-W", built / "layers" / "orders" / "red.exr")
-    orders = [*page.ORDERS, "simultaneous"]
+    orders = [*page.ORDERS, "simultaneous", "woven", "noise"]
     assert outputs(done, built) == {
         "orders.exr", "orders-traditional.exr", "orders.png", *(f"orders-{o}.exr" for o in orders)
     }  # fmt: skip
