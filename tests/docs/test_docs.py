@@ -26,6 +26,8 @@ import hpcomp
 from hpcomp.blending.blendings import BLENDINGS
 from hpcomp.blending.orders import ORDERS
 from hpcomp.blending.porter_duff import OPERATOR_NAMES, OPERATORS
+from hpcomp.blending.strength import STRENGTHS
+from hpcomp.blending.weaving import PATTERNS
 from hpcomp.cli import COMMANDS, cli
 from hpcomp.cli.options import shown_names
 from hpcomp.color.encodings import ALPHA_MODES, COLOR_INTEROP_IDS, COLOR_SPACES
@@ -35,7 +37,7 @@ from hpcomp.geometry import CANVASES, GRAVITIES
 from hpcomp.imagefile.forms import COMPRESSIONS, DEPTHS, NONFINITE_POLICIES
 from hpcomp.keywords import FlattenKeywords, StackKeywords
 from hpcomp.layers.layerspec import LAYER_KEYS
-from hpcomp.options import ARRAY_RULES
+from hpcomp.options import ARRAY_RULES, PRESETS
 from hpcomp.options import OPTIONS as STACK_OPTIONS
 from hpcomp.pipeline.flatten import FLATTEN_OPTIONS
 
@@ -279,7 +281,7 @@ def test_every_layer_key_is_documented():
 
 @pytest.mark.parametrize(
     "names",
-    [OPERATOR_NAMES, ORDERS, BLENDINGS, SPACES, CANVASES, ALPHA_MODES, NONFINITE_POLICIES,
+    [OPERATOR_NAMES, ORDERS, BLENDINGS, STRENGTHS, PATTERNS, PRESETS, SPACES, CANVASES, ALPHA_MODES, NONFINITE_POLICIES,
      COLOR_SPACES, COLOR_INTEROP_IDS, DEPTHS["png"] + DEPTHS["exr"], COMPRESSIONS["exr"],
      COMPRESSIONS["png"][:2]],
     ids=lambda names: next(iter(names)),
@@ -326,6 +328,9 @@ def test_the_operators_of_the_page_are_those_of_the_table():
     [
         ("hpcomp-blending.7", "Orders", ORDERS),
         ("hpcomp-blending.7", "Blending spaces", SPACES),
+        ("hpcomp-blending.7", "Strength", STRENGTHS),
+        ("hpcomp-blending.7", "Presets", PRESETS),
+        ("hpcomp-blending.7", "Woven blending", PATTERNS),
         ("hpcomp-files.7", "Colour spaces", COLOR_SPACES),
         ("hpcomp-reports.7", "Provenance", ["layer", "grey", "margin"]),
     ],
