@@ -362,9 +362,7 @@ def _shares(near: Floats, far: Floats, front: Floats, back: Floats) -> Floats:
     return share
 
 
-def _weights(
-    lengths: Ints, share: Floats, density: Floats, alpha: Floats
-) -> tuple[Floats, Floats]:
+def _weights(lengths: Ints, share: Floats, density: Floats, alpha: Floats) -> tuple[Floats, Floats]:
     """What each piece's sample is scaled by, so that those of a run add up to their merged sample.
 
     And what each run lets through, 1 - A (runs).

@@ -310,8 +310,9 @@ def test_the_page_says_which_picture_is_the_files(here, blending):
     hpcomp.stack(LAYERS, "out.png", blending=blending, report="r.html")
     page = Path("r.html").read_text()
     captions = re.findall(r"<figcaption>(.*?)</figcaption>", page.partition('id="hues"')[0])
-    own = "result" if blending == "traditional" else blending
-    assert [re.sub("<.*?>", "", caption) for caption in captions] == ["traditional", f"{own} (the file)"]
+    names = dict.fromkeys(["traditional", "hue-preserving", "woven", blending])
+    expected = [f"{name} (the file)" if name == blending else name for name in names]
+    assert [re.sub("<.*?>", "", caption) for caption in captions] == expected
 
 
 @pytest.mark.parametrize("order", ORDERS)
@@ -378,33 +379,43 @@ def test_more_layers_than_are_composited_at_once(here):
 
 
 def pictures(here, name="r.html"):
-    """The traditional picture and the result of a page, (h, w, 4)."""
+    """The pictures of a page by their names, (h, w, 4)."""
     page = (here / name).read_text()
-    found = re.findall(r'<img src="data:image/png;base64,([^"]+)"[^>]* alt="The ', page)
-    assert len(found) == 2
-    return [pngfile.decode(base64.b64decode(data)) for data in found]
+    found = re.findall(r'<img src="data:image/png;base64,([^"]+)"[^>]* alt="The (\S+) picture', page)
+    return {name: pngfile.decode(base64.b64decode(data)) for data, name in found}
 
 
 @pytest.mark.parametrize("order", ["bottom-up", "top-down"])
-def test_page_shows_both_pictures(here, order):
-    hpcomp.stack(LAYERS, "out.png", order=order, report="r.html")
-    hpcomp.stack(LAYERS, "plain.png", blending="traditional")
-    shown = [pngfile.decode(data) for data in bytes_of(here, "plain.png", "out.png")]
-    for page, picture in zip(pictures(here), shown, strict=True):
+@pytest.mark.parametrize("blending", ["hue-preserving", "woven", "foremost"])
+def test_page_shows_what_each_blending_makes(here, blending, order):
+    rules = {"order": order, "strength": "perceived", "weave": "noise", "weave_size": 3}
+    hpcomp.stack(LAYERS, "out.png", blending=blending, report="r.html", **rules)
+    shown = pictures(here)
+    assert list(shown) == list(dict.fromkeys(["traditional", "hue-preserving", "woven", blending]))
+    for name, page in shown.items():
+        hpcomp.stack(LAYERS, "one.png", blending=name, **rules)
+        picture = pngfile.decode((here / "one.png").read_bytes())
         # The page's are rounded from means of one pixel, the files' from what they are.
-        assert abs(page.astype(int) - picture).max() <= 1
-        assert (page == picture).mean() > 0.999
-    one, two = pictures(here)
-    assert (one != two).any()
+        assert abs(page.astype(int) - picture).max() <= 1, name
+        assert (page == picture).mean() > 0.999, name
+    assert len({page.tobytes() for page in shown.values()}) == len(shown)
 
 
-def test_page_shows_the_same_twice_where_both_blendings_are_one(here):
+def test_page_shows_the_same_where_all_blendings_are_one(here):
     hpcomp.stack(LAYERS[:1], "out.png", report="r.html")
-    one, two = pictures(here)
-    assert np.array_equal(one, two)
-    hpcomp.stack(LAYERS, "out.png", blending="traditional", report="r.html")
-    one, two = pictures(here)
-    assert np.array_equal(one, two)
+    assert len({page.tobytes() for page in pictures(here).values()}) == 1
+
+
+def test_the_weave_of_a_page_grows_with_its_scale(here):
+    """What is three times smaller shows stripes of the same width."""
+    width = 2 * PREVIEW_SIDE + 3
+    for name, hue in (("a", (0.5, 0, 0)), ("b", (0, 0.5, 0.5))):
+        flat = np.broadcast_to(np.array((*hue, 1.0), np.float32), (24, width, 4))
+        hpcomp.write_image(f"{name}.exr", flat)
+    hpcomp.stack(["a.exr", "b.exr::opacity=0.5"], "out.exr", blending="woven", report="r.html")
+    row = pictures(here)["woven"][4, :, 0].astype(int)
+    stripes = np.count_nonzero(np.diff((row > row.mean()).astype(int)))
+    assert abs(stripes - 2 * len(row) / 8) <= 2
 
 
 @pytest.mark.parametrize("size", [(2 * PREVIEW_SIDE + 5, 7), (4, 2 * PREVIEW_SIDE + 2)])
@@ -420,7 +431,7 @@ def test_pictures_of_a_page_are_means_of_squares(here, size):
         hpcomp.stack(["large.exr"], "out.exr", report="r.html", max_memory=max_memory)
         seen.add((here / "r.html").read_bytes())
     assert len(seen) == 1
-    shown = pictures(here)[1]
+    shown = pictures(here)["hue-preserving"]
     scale = 3
     assert shown.shape == (-(-height // scale), -(-width // scale), 4)
     for y, x in itertools.product((0, shown.shape[0] - 1), (0, shown.shape[1] - 1)):

@@ -287,7 +287,7 @@ def visible(path, **options):
 
 
 def test_5_woven(kitchen):
-    woven, plain, grains = cook(5)
+    woven, _, grains = cook(5)
     assert quietly(woven).count("passed") == 2
     assert quietly(grains) == ""
     labels = sorted([*hues("rivers.exr"), *hues("roads.png")])
