@@ -18,7 +18,8 @@ A deep EXR has many samples along each viewing ray. hpcomp sorts them by depth, 
 where they overlap, as OpenEXR's document on deep pixels says. The samples of a pixel are then a
 stack with `over`, with the farthest at the bottom. The samples of several files become one stack:
 their depths say which is in front. Samples in one place are added first, all at once, so the order
-of files and samples has no effect.
+of files and samples has no effect. With `--blending woven` nothing is merged: each sample has its
+part in the pattern, as far as it is seen.
 
 IMAGE is a deep EXR file, with scanlines or tiles, in the LAYER syntax of stack; `-` reads stdin. It
 has the channels Z and A, and ZBack if it has volumes; samples without a colour are black. Keys:
