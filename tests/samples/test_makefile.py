@@ -25,7 +25,7 @@ SAMPLES = Path(__file__).parents[2] / "samples"
 PICTURES = {"traditional.png", "hue-preserving.png"}
 #: What is made of the pictures, or beside one.
 FROM_PICTURES = {"side-by-side.png", "hues.png"}
-OF_ALL_LAYERS = {*PICTURES, *FROM_PICTURES, "report.html"}
+OF_ALL_LAYERS = {*PICTURES, *FROM_PICTURES, "report.html", "woven.png"}
 FIGURES = {*OF_ALL_LAYERS, "palette.png", "palette.txt"}
 
 #: Which figures a layer has a part in.
@@ -123,6 +123,16 @@ def test_the_first_make_makes_every_figure_with_a_command_each(samples):
     assert len(commands(printed)) == COMMANDS
 
 
+def test_the_woven_picture_of_the_page_is_the_one_that_is_made(samples):
+    made, shown = (
+        hpcomp.read_layer(folder / "woven.png").pixels
+        for folder in (samples[0] / "terrain" / "out", SAMPLES / "terrain")
+    )
+    assert made.shape == shown.shape
+    differs = np.abs(made - shown).max(axis=-1) > 0.01
+    assert differs.mean() < 0.001  # another processor may round a pixel to the other thread
+
+
 def test_a_second_make_makes_nothing(samples):
     folder, _ = samples
     before = times(folder)
@@ -192,7 +202,7 @@ def test_a_layer_that_is_used_and_missing_is_said_to_be_and_no_figure_is_lost(ou
     done = run("make", "--keep-going", cwd=ours)
     assert done.returncode == 2
     errors = [line for line in done.stderr.splitlines() if line.startswith("hpcomp: ")]
-    assert len(errors) == 3  # both pictures and the palette
+    assert len(errors) == 4  # three pictures and the palette
     assert all("layers/streams.png" in line and "no such file" in line for line in errors)
     assert built(ours) == before
 
