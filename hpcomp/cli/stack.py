@@ -38,6 +38,8 @@ keys, unless the whole argument is an existing file. A value cannot contain a co
 
 \b
   hpcomp stack base.png 'roads.png::opacity=0.6' rivers.exr -o map.png
+  hpcomp stack base.png 'roads.png::opacity=0.6' rivers.exr --preset labels -o even.png
+  hpcomp stack base.png 'roads.png::opacity=0.6' rivers.exr --preset woven -o woven.png
   hpcomp stack base.png 'mask.png::op=dst-in,tint=white' -o cut.exr
   hpcomp stack base.png 'mask.png::tint=#377eb8,opacity=0.6' -o map.png
   hpcomp stack base.png roads.png -o map.png --report map.html --provenance origin.exr

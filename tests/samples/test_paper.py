@@ -502,7 +502,7 @@ def test_woven_shows_each_of_the_three_in_the_middle_at_the_same_luminance(repor
     for name in ("orders-woven", "orders-noise"):
         woven = picture(name)
         assert_hues(report(name), flat.RIVALS.values())
-        assert visible(report(name)) == 1
+        assert visible(report(name)) > 0.99
         assert woven[..., :3] @ flat.LUMINANCE == pytest.approx(ordinary, abs=2 * HALF_STEP)
         hues = np.array([hsl_hue(color) for color in woven[three][:, :3]])
         for light in lights:
