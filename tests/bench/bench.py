@@ -237,7 +237,7 @@ def run_kernel(runs: int, threads: int) -> list[dict[str, Any]]:
     command = [PYTHON, str(HERE / "kernel_alone.py"), str(threads), str(runs)]
     cases: list[dict[str, Any]] = json.loads(measured(command)[1])
     print(f"\nkernel: float layers of 3840x2160 in memory, {runs} runs; ns per pixel and blend")
-    row = "  {layers:<8}{blending:16}{order:14}{level:10}{threads:<9}{space:12}"
+    row = "  {layers:<8}{blending:16}{order:14}{level:10}{threads:<9}{space:12}{strength:10}"
     print(row.format(**{name: name for name in cases[0]}) + f"{'wall':>7}{'CPU':>7}")
     for case in cases:
         print(row.format(**case) + f"{case['wall']:7.2f}{case['cpu']:7.2f}")
@@ -273,9 +273,12 @@ class Results:
     def growth(self) -> float:
         return self.works["exr4k-64"]["hpcomp"].wall / self.works["exr4k"]["hpcomp"].wall
 
-    def nanoseconds(self, layers: int, order: str, space: str = "linear-rgb") -> float:
-        """Of the kernel at its best: hue-preserving, the fastest level, all threads."""
-        wanted = {"layers": layers, "blending": HUES, "order": order, "space": space}
+    def nanoseconds(
+        self, layers: int, order: str, space: str = "linear-rgb", **other: str
+    ) -> float:
+        """Of the kernel at its best: the fastest level, all threads; hue-preserving, by chroma."""
+        own = {"layers": layers, "blending": HUES, "order": order, "space": space}
+        wanted = {**own, "strength": "chroma", **other}
         found = [case["wall"] for case in self.kernel if wanted.items() <= case.items()]
         if not found:
             raise KeyError("kernel")
@@ -283,6 +286,14 @@ class Results:
 
     def in_linear_rgb(self, space: str) -> float:
         return self.nanoseconds(4, "bottom-up", space) / self.nanoseconds(4, "bottom-up")
+
+    def of_strength(self, order: str, space: str) -> float:
+        by_coverage = self.nanoseconds(4, order, space, strength="coverage")
+        return by_coverage / self.nanoseconds(4, order, space)
+
+    def woven(self, strength: str) -> float:
+        woven = self.nanoseconds(8, "bottom-up", blending="woven", strength=strength)
+        return woven / self.nanoseconds(8, "simultaneous")
 
     def to_json(self) -> dict[str, Any]:
         works = {w: {t: asdict(u) for t, u in tools.items()} for w, tools in self.works.items()}
@@ -330,16 +341,33 @@ FIGURES: list[tuple[str, float, Callable[[Results], float]]] = [
         )
         for space in ("oklab", "cielab")
     ),
+    *(
+        (
+            f"kernel, {space}, {order}: coverage / chroma",
+            1.25,
+            partial(Results.of_strength, order=order, space=space),
+        )
+        for space in ("linear-rgb", "oklab")
+        for order in ("bottom-up", "simultaneous")
+    ),
+    *(
+        (
+            f"kernel, 8 layers: woven by {strength} / simultaneous",
+            1.5,
+            partial(Results.woven, strength=strength),
+        )
+        for strength in ("chroma", "coverage")
+    ),
 ]
 
 
 def print_figures(results: Results) -> None:
-    print(f"\n{'figure':46}{'measured':>10}{'at most':>10}  reached")
+    print(f"\n{'figure':48}{'measured':>10}{'at most':>10}  reached")
     for name, limit, value in results.figures():
         if value is None:
-            print(f"{name:46}{'-':>10}{limit:10.4g}  not measured")
+            print(f"{name:48}{'-':>10}{limit:10.4g}  not measured")
         else:
-            print(f"{name:46}{value:10.3g}{limit:10.4g}  {'yes' if value <= limit else 'no'}")
+            print(f"{name:48}{value:10.3g}{limit:10.4g}  {'yes' if value <= limit else 'no'}")
 
 
 def main() -> None:

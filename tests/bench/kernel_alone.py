@@ -36,6 +36,7 @@ class Case:
     level: str
     threads: int
     space: str = "linear-rgb"
+    strength: str = "chroma"
 
 
 def cases(threads: int) -> list[Case]:
@@ -54,7 +55,17 @@ def cases(threads: int) -> list[Case]:
         if space != "linear-rgb"
     ]
     of_orders = [Case(8, "hue-preserving", order, fastest, threads) for order in orders]
-    return bottom_up + spaces + of_orders
+    strengths = [
+        Case(4, "hue-preserving", order, fastest, threads, space, "coverage")
+        for space in ("linear-rgb", "oklab")
+        for order in ("bottom-up", "simultaneous")
+    ]
+    woven = [
+        Case(8, "woven", "bottom-up", fastest, threads, strength=name)
+        for name in ("chroma", "coverage")
+    ]
+    oklab = Case(4, "hue-preserving", "simultaneous", fastest, threads, "oklab")
+    return [*bottom_up, *spaces, *of_orders, *strengths, *woven, oklab]
 
 
 def composite_strip(rules: StackRules, layers: list[Any], begin: int) -> None:
@@ -67,7 +78,13 @@ def composite_strip(rules: StackRules, layers: list[Any], begin: int) -> None:
 def seconds(case: Case, layers: list[Any]) -> tuple[float, float]:
     """Wall time, and CPU time of all threads."""
     os.environ[kernel.LEVEL_VARIABLE] = case.level
-    rules = stack_rules(case.layers, blending=case.blending, order=case.order, space=case.space)
+    rules = stack_rules(
+        case.layers,
+        blending=case.blending,
+        order=case.order,
+        space=case.space,
+        strength=case.strength,
+    )
     with ThreadPoolExecutor(case.threads) as pool:
         wall, cpu = time.perf_counter(), time.process_time()
         rows = range(0, HEIGHT, STRIP_ROWS)
