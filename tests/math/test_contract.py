@@ -12,7 +12,9 @@ from enum import Enum
 from pathlib import Path
 from types import ModuleType
 
+import numpy as np
 import pytest
+from engines import composite_by
 
 import hpcomp
 from hpcomp.engine import reference
@@ -135,3 +137,12 @@ def test_the_stub_is_what_was_built():
             assert own == said - {"__init__"}, name
         else:
             assert [member.name for member in bound] == [n.targets[0].id for n in node.body], name
+
+
+@pytest.mark.parametrize("rules", [{}, {"order": "simultaneous", "space": "oklab"}, {"blending": "woven"}])
+def test_doubles_are_the_references_with_any_engine(rules):
+    """So tests of doubles run once, see `conftest`."""
+    layers = [np.random.default_rng(number).random((5, 7, 4)) for number in range(3)]
+    made = [composite_by(name, layers, **rules) for name in ENGINES]
+    assert made[0].dtype == np.float64
+    assert made[0].tobytes() == made[1].tobytes()
