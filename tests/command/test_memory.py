@@ -255,8 +255,8 @@ def test_reports_of_many_layers_stay_in_the_budget(peak, told, order):
 def test_height_does_not_matter_to_a_report(peak, told, threads):
     """Four times the rows; whole, the three layers would take 50 MiB more. A page's pictures have
     a largest size, whatever the canvas."""
-    low = peak(["narrow.exr"] * 3, "exr", 40, threads, *told)
-    high = peak(["narrow tall.exr"] * 3, "exr", 40, threads, *told)
+    low = peak(["narrow.exr"] * 3, "exr", 56, threads, *told)
+    high = peak(["narrow tall.exr"] * 3, "exr", 56, threads, *told)
     assert high - low <= 12
 
 

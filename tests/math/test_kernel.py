@@ -932,7 +932,7 @@ def make_accumulator(rules=None, width=3, height=2, level="", place=(), **change
         rules=rules or make_rules(**changed),
         width=width,
         height=height,
-        **{"left": 0, "top": 0, **dict(place)},
+        **{"left": 0, "top": 0, "phases": None, **dict(place)},
         level=level,
     )
 
@@ -1286,7 +1286,9 @@ class TestBinding:
 
     def test_strip_without_rules_or_level(self):
         with refused():
-            _kernel.Accumulator(rules=None, width=1, height=1, left=0, top=0, level="")
+            _kernel.Accumulator(
+                rules=None, width=1, height=1, left=0, top=0, phases=None, level=""
+            )
         for level in ("v9", None, 0):
             with refused():
                 make_accumulator(level=level)

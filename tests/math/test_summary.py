@@ -686,7 +686,7 @@ class TestBinding:
     @pytest.mark.parametrize("changed", [{"layers": 3}, {"width": 4}, {"height": 1}])
     def test_measures_belong_to_one_strip(self, changed):
         accumulator = _kernel.Accumulator(
-            rules=make_rules(), width=WIDTH, height=HEIGHT, left=0, top=0
+            rules=make_rules(), width=WIDTH, height=HEIGHT, left=0, top=0, phases=None
         )
         accumulator.add(numbers=[0, 1], layers=[make_layer(), make_layer()])
         out = np.empty((HEIGHT, WIDTH, 4), np.float32)
@@ -698,7 +698,7 @@ class TestBinding:
     @pytest.mark.parametrize("at_once", [1, 2])
     def test_layers_are_measured_when_all_come_at_once(self, at_once):
         accumulator = _kernel.Accumulator(
-            rules=make_rules(), width=WIDTH, height=HEIGHT, left=0, top=0
+            rules=make_rules(), width=WIDTH, height=HEIGHT, left=0, top=0, phases=None
         )
         for begin in range(0, 2, at_once):
             numbers = list(range(begin, begin + at_once))
