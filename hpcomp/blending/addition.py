@@ -119,8 +119,10 @@ def keep_hue(
     leaves the gamut on the way.
     """
     m1, m2 = chroma(p1), chroma(p2)
+    unknown = ~(np.isfinite(m1) & np.isfinite(m2))
     if strengths is not None:
         m1, m2 = competing(np.stack([p1, p2]), np.stack(strengths))
+        unknown |= ~(np.isfinite(m1) & np.isfinite(m2))
     m_big, m_small = np.maximum(m1, m2), np.minimum(m1, m2)
     kept = ratio(m_big - m_small, m_big)
     if gray_bias:
@@ -129,7 +131,6 @@ def keep_hue(
     kept = np.minimum(kept + e * (1 - kept), 1)  # [R3][D3]
     first = m1 >= m2
     a, b = np.where(first, kept, e), np.where(first, e, kept)  # [R2]
-    unknown = ~np.isfinite(m_big)
     return np.where(unknown, 1, a), np.where(unknown, 1, b)
 
 

@@ -71,11 +71,6 @@ class Terms:
     weights: Array
     alpha: Array
 
-    @property
-    def bounds(self) -> Array:
-        """Their sum, as in `gamut`."""
-        return sum((term.bounds for term in self.terms), np.zeros_like(self.terms[0].bounds))
-
 
 def term_of(
     rules: StackRules, rgb: Array, alpha: Array | float, space: Space | None = None

@@ -6,7 +6,7 @@ import math
 import numpy as np
 import oracle
 import pytest
-from engines import layers_of_labels
+from engines import composite_by, layers_of_labels
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from steadiness import has_luminance, is_steady
@@ -431,3 +431,20 @@ class TestGlow:
         layers[1, ..., 3] = np.where(layers[1, ..., 3] > 0.5, tiny, layers[1, ..., 3])
         for order in ORDER_NAMES:
             assert np.isfinite(composite(list(layers), strength=strength, order=order)).all()
+
+
+@pytest.mark.parametrize("strength", OTHERS)
+@pytest.mark.parametrize("order", ["bottom-up", "balanced", "simultaneous"])
+def test_a_chroma_that_overflows_is_added_as_it_is(order, strength):
+    """Its strength is still a number. Both engines keep all where what meets is not finite."""
+    colors = [(3e38, 0, 0, 1), (3e38, 0, 0, 1), (0, 1, 0, 1), (0, 0, 1, 1)]
+    layers = [np.array([[color]], np.float32) for color in colors]
+    kernel, reference, plain = (
+        composite_by(name, layers, op="plus", order=order, strength=strength, **more)
+        for name, more in (("kernel", {}), ("reference", {}), ("reference", {"blending": "traditional"}))
+    )
+    assert not np.isfinite(plain).all()
+    np.testing.assert_allclose(kernel, reference, rtol=4 * FLOAT32)
+    if order == "bottom-up":  # all others meet the sum that overflowed
+        assert np.array_equal(kernel, plain)
+        assert np.array_equal(reference, plain)
