@@ -336,7 +336,8 @@ def _step_lines(pixel: PixelExplanation) -> list[str]:
         return _weaving_lines(pixel, pixel.weaving)
     lines = [_rivalry_line(row) for row in pixel.rivalries]
     lines += [_meeting_line(step) for step in pixel.meetings]
-    return lines or ["none: there is one layer"]
+    alone = len(pixel.layers) == 1
+    return lines or ["none: there is one layer" if alone else "none: no colour here has a hue"]
 
 
 def _weaving_lines(pixel: PixelExplanation, weaving: Weaving) -> list[str]:

@@ -142,7 +142,8 @@ def _scale_note(preview: Preview) -> Node:
     if preview.scale == 1:
         return ""
     return h.p(class_="note")[
-        f"One pixel here stands for {preview.scale} × {preview.scale} of the picture."
+        f"One pixel here stands for {preview.scale} × {preview.scale} of the picture. So that the "
+        f"woven pattern is seen, it is {preview.scale} times as coarse as in a file."
     ]
 
 

@@ -508,6 +508,8 @@ def test_equal_strength_is_no_dominance(labels):
     one = hpcomp.explain(labels((0, 0.2)), (0, 0))
     assert one.meetings == ()
     assert "none: there is one layer" in report.as_text(one)
+    greys = hpcomp.explain(labels((0, 0.0), (90, 0.0)), (0, 0), order="simultaneous")
+    assert "none: no colour here has a hue" in report.as_text(greys)
 
 
 def test_stored_samples_are_shown_as_they_are(files):

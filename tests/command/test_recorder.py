@@ -416,6 +416,7 @@ def test_the_weave_of_a_page_grows_with_its_scale(here):
     row = pictures(here)["woven"][4, :, 0].astype(int)
     stripes = np.count_nonzero(np.diff((row > row.mean()).astype(int)))
     assert abs(stripes - 2 * len(row) / 8) <= 2
+    assert "woven pattern is seen, it is 3 times as coarse as in a file" in (here / "r.html").read_text()
 
 
 @pytest.mark.parametrize("size", [(2 * PREVIEW_SIDE + 5, 7), (4, 2 * PREVIEW_SIDE + 2)])
