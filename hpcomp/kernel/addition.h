@@ -338,19 +338,65 @@ HPCOMP_INLINE void keep_greys(const float *unit_x, const float *unit_y, int n, f
 }
 
 // What competes in a run of lanes: strengths (count, kBlock) instead of the lengths `m` (n, kLanes) of terms,
-// from column `begin` on and scaled by one power of two a pixel, but where all of a pixel are 0.
-HPCOMP_INLINE void take_strengths(const float *strengths, const int *there, int n, int begin, float *m) {
-    float largest[kLanes] = {};
-    for (int k = 0; k < n; ++k) {
-        ConstRow of = strengths + int64_t(there[k]) * kBlock + begin, length = m + k * kLanes;
-        for (int l = 0; l < kLanes; ++l) largest[l] = larger(largest[l], length[l] > 0 ? of[l] : 0.0f);
+// from column `begin` on and scaled by one power of two a pixel, but where all of a pixel are 0. Returns
+// whether a hue of a pixel where others have strength has none itself.
+HPCOMP_INLINE bool take_strengths(const float *strengths, const int *there, int n, int begin, float *m) {
+    const Lanes none = {};
+    int weak = 0;
+    for (int l = 0; l < kLanes; l += kRegister) {
+        Lanes largest = {};
+        for (int k = 0; k < n; ++k) {
+            const Lanes of = lanes_of(strengths + int64_t(there[k]) * kBlock + begin + l);
+            const Lanes own = lanes_of(m + k * kLanes + l) > none ? of : none;
+            largest = own > largest ? own : largest;
+        }
+        float down[kRegister], size[kRegister];
+        std::memcpy(size, &largest, sizeof size);
+        for (int i = 0; i < kRegister; ++i) down[i] = scale_of(size[i], 0, 0, 0).down;
+        const Lanes scale = lanes_of(down);
+        Lanes without = {};
+        for (int k = 0; k < n; ++k) {
+            const Lanes length = lanes_of(m + k * kLanes + l);
+            const Lanes of = lanes_of(strengths + int64_t(there[k]) * kBlock + begin + l) * scale;
+            const Lanes own = length > none ? of : none;
+            without += length > none ? (own > none ? none : none + 1.0f) : none;
+            const Lanes competing = largest > none ? own : length;
+            std::memcpy(m + k * kLanes + l, &competing, sizeof competing);
+        }
+        float counts[kRegister];
+        std::memcpy(counts, &without, sizeof counts);
+        for (int i = 0; i < kRegister; ++i) weak |= counts[i] != 0;
     }
-    for (int k = 0; k < n; ++k) {
-        ConstRow of = strengths + int64_t(there[k]) * kBlock + begin;
-        Row length = m + k * kLanes;
-        for (int l = 0; l < kLanes; ++l) {
-            const float strength = length[l] > 0 ? of[l] * scale_of(largest[l], 0, 0, 0).down : 0.0f;
-            length[l] = largest[l] > 0 ? strength : length[l];
+    return weak != 0;
+}
+
+// What the strongest rival leaves of each term, without a bias: `kept` (n, kLanes), from the supports (n, n,
+// kLanes), the shoulders `e` (n, n, kLanes) and what hues hold (n, kLanes). `kWeak`: a hue may have no strength,
+// and all of it gives way to one that has some.
+template <bool kWeak>
+HPCOMP_INLINE void keep_of_rivals(const float *e, const float *support, const float *hold, int n, float *kept) {
+    const auto pair = [n](const float *table, int i, int k) { return table + (int64_t(i) * n + k) * kLanes; };
+    for (int l = 0; l < kLanes; l += kRegister) {
+        for (int i = 0; i < n; ++i) {
+            // The strongest rival's (1 - e) q as a fraction: compared without dividing.
+            Lanes part = {}, whole = part + 1.0f;
+            for (int j = 0; j < n; ++j) {
+                if (j == i) continue;
+                Lanes own = lanes_of(pair(support, i, j) + l);
+                Lanes other = smaller(lanes_of(pair(support, j, i) + l), lanes_of(hold + j * kLanes + l));
+                if (kWeak) {
+                    const Lanes none = {}, all = none + 1.0f;
+                    const auto unbacked = own == none;
+                    other = unbacked ? (other > none ? all : none) : other;
+                    own = unbacked ? all : own;
+                }
+                const Lanes weight = (1.0f - lanes_of(pair(e, i, j) + l)) * smaller(other, own);
+                const auto stronger = weight * whole > part * own;
+                part = stronger ? weight : part;
+                whole = stronger ? own : whole;
+            }
+            const Lanes scaled = 1.0f - part / whole;
+            std::memcpy(kept + i * kLanes + l, &scaled, sizeof scaled);
         }
     }
 }
@@ -390,7 +436,7 @@ HPCOMP_INLINE void keep_beside_rivals(const Rules &rules, const float *p, const 
             mk[l] = __builtin_sqrtf(ux[l] * ux[l] + uy[l] * uy[l]) * own.up;
         }
     }
-    if (kStrong) take_strengths(strengths, there, n, begin, m);
+    const bool weak = kStrong && take_strengths(strengths, there, n, begin, m);
     // Most hues differ, and then their shoulder is 0 without its angle: `neighbors` lists the
     // others of each term, itself first, in which alone its support has anything.
     int *degree = neighbors + int64_t(n) * n;
@@ -438,34 +484,15 @@ HPCOMP_INLINE void keep_beside_rivals(const Rules &rules, const float *p, const 
                                 pair(e, i, j), part);
             for (int l = 0; l < kLanes; ++l) kept[i * kLanes + l] = 1 - part[l];
         }
-        if (kStrong) keep_greys(unit_x, unit_y, n, kept);
+        if (weak) keep_greys(unit_x, unit_y, n, kept);
         return;
     }
-    for (int l = 0; l < kLanes; l += kRegister) {
-        for (int i = 0; i < n; ++i) {
-            // The strongest rival's (1 - e) q as a fraction: compared without dividing.
-            Lanes part = {}, whole = part + 1.0f;
-            for (int j = 0; j < n; ++j) {
-                if (j == i) continue;
-                Lanes own = lanes_of(pair(support, i, j) + l);
-                Lanes other = smaller(lanes_of(pair(support, j, i) + l),
-                                      lanes_of(hold + j * kLanes + l));
-                if (kStrong) {  // all of what nothing backs
-                    const Lanes none = {}, all = none + 1.0f;
-                    const auto unbacked = own == none;
-                    other = unbacked ? (other > none ? all : none) : other;
-                    own = unbacked ? all : own;
-                }
-                const Lanes weight = (1.0f - lanes_of(pair(e, i, j) + l)) * smaller(other, own);
-                const auto stronger = weight * whole > part * own;
-                part = stronger ? weight : part;
-                whole = stronger ? own : whole;
-            }
-            const Lanes scaled = 1.0f - part / whole;
-            std::memcpy(kept + i * kLanes + l, &scaled, sizeof scaled);
-        }
+    if (weak) {
+        keep_of_rivals<true>(e, support, hold, n, kept);
+        keep_greys(unit_x, unit_y, n, kept);
+    } else {
+        keep_of_rivals<false>(e, support, hold, n, kept);
     }
-    if (kStrong) keep_greys(unit_x, unit_y, n, kept);
 }
 
 // The same for whatever number of terms: `kept` (count, kBlock) gets all factors, from column `begin` on.
