@@ -80,14 +80,24 @@ struct LaneSums {
     LaneInts part[kRegisters];
 };
 
-// The sums of the shares of terms of the numbers `some` (count) whose hue is from `from` to below `trial`.
-HPCOMP_INLINE LaneSums shares_below(const WovenTerms &terms, const int *some, int count, const LaneSums &trial,
+// The sums of the shares of all terms whose hue is below `trial`.
+HPCOMP_INLINE LaneSums shares_below(const WovenTerms &terms, const LaneSums &trial) {
+    LaneSums sums{};
+    for (int k = 0; k < terms.n; ++k)
+        for (int r = 0; r < kRegisters; ++r)
+            sums.part[r] += (terms.lanes(terms.hue, k, r) < trial.part[r]) & terms.lanes(terms.share, k, r);
+    return sums;
+}
+
+// Of the `close` ones (count) alone, whose hue is from `from` on.
+HPCOMP_INLINE LaneSums shares_below(const WovenTerms &terms, int count, const LaneSums &trial,
                                     const LaneSums &from) {
     LaneSums sums{};
     for (int c = 0; c < count; ++c) {
         for (int r = 0; r < kRegisters; ++r) {
-            const LaneInts hue = terms.lanes(terms.hue, some[c], r);
-            sums.part[r] += (hue < trial.part[r]) & (hue >= from.part[r]) & terms.lanes(terms.share, some[c], r);
+            const LaneInts hue = terms.lanes(terms.hue, terms.close[c], r);
+            sums.part[r] +=
+                (hue < trial.part[r]) & (hue >= from.part[r]) & terms.lanes(terms.share, terms.close[c], r);
         }
     }
     return sums;
@@ -152,25 +162,27 @@ HPCOMP_INLINE Thread find_thread_of_few(const WovenTerms &terms, const LaneSums 
 // Of many: the largest number of a hue below which there is no more than the target, bit by bit. The terms of
 // that number pass it. After the first bits only those terms are left to look at that are of the same.
 HPCOMP_INLINE Thread find_thread_of_many(const WovenTerms &terms, const LaneSums &target) {
-    LaneSums found{}, coarse{}, start{};
-    int count = terms.n;
-    for (int k = 0; k < count; ++k) terms.close[k] = k;
-    const auto find = [&](int bit) {
+    LaneSums found{}, start{};
+    const auto find = [&found, &target](int bit, const auto &shares_until) {
         LaneSums trial;
         for (int r = 0; r < kRegisters; ++r) trial.part[r] = found.part[r] + (1 << bit);
-        const LaneSums below = shares_below(terms, terms.close, count, trial, coarse);
+        const LaneSums below = shares_until(trial);
         for (int r = 0; r < kRegisters; ++r)
-            found.part[r] = start.part[r] + below.part[r] <= target.part[r] ? trial.part[r] : found.part[r];
+            found.part[r] = below.part[r] <= target.part[r] ? trial.part[r] : found.part[r];
     };
     constexpr int kFine = kHueBits - kCoarseBits;
-    for (int bit = kHueBits - 1; bit >= kFine; --bit) find(bit);
-    start = shares_below(terms, terms.close, count, found, coarse);
-    coarse = found;
-    count = close_terms(terms, coarse, kFine);
-    for (int bit = kFine - 1; bit >= 0; --bit) find(bit);
-    const LaneSums below = shares_below(terms, terms.close, count, found, coarse);
-    LaneSums reached;
-    for (int r = 0; r < kRegisters; ++r) reached.part[r] = start.part[r] + below.part[r];
+    const auto of_all = [&terms](const LaneSums &trial) { return shares_below(terms, trial); };
+    for (int bit = kHueBits - 1; bit >= kFine; --bit) find(bit, of_all);
+    start = of_all(found);
+    const LaneSums coarse = found;
+    const int count = close_terms(terms, coarse, kFine);
+    const auto of_close = [&](const LaneSums &trial) {
+        LaneSums below = shares_below(terms, count, trial, coarse);
+        for (int r = 0; r < kRegisters; ++r) below.part[r] += start.part[r];
+        return below;
+    };
+    for (int bit = kFine - 1; bit >= 0; --bit) find(bit, of_close);
+    LaneSums reached = of_close(found);
     // Of several with that number the first that passes it.
     Thread thread{};
     for (int l = 0; l < kLanes; ++l) thread.number[l] = -1;
