@@ -80,6 +80,11 @@ class Operator:
         """Whether the operator does nothing useful with a layer that is opaque everywhere."""
         return self.name in ("in", "out", "dst-in", "dst-out")
 
+    @property
+    def keeps_outside(self) -> bool:
+        """Whether all below stays as it is where the layer is transparent."""
+        return self.factor_b in (Factor.ONE, Factor.REST)
+
 
 OPERATORS: dict[str, Operator] = {
     row.name: row

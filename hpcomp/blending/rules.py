@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -107,6 +108,32 @@ class StackRules:
     def add_all(self, terms: Sequence[Chroma], phase: Array | None = None) -> Chroma:
         """All of them at once."""
         return sum_of_chromas(terms, tuple(self.keep_of_many(stacked(terms), phase)))
+
+    @cached_property
+    def needed_everywhere(self) -> frozenset[int]:
+        """The numbers of the layers that do something where they have no pixels.
+
+        That is the bottom, on which all others come, and those that erase what lies outside.
+        """
+        return frozenset(
+            number
+            for number, row in enumerate(self.operators)
+            if row is None or not row.keeps_outside
+        )
+
+    def of_layers(self, numbers: Sequence[int]) -> StackRules:
+        """The same rules for some of the layers, the bottom first; their order is that of all."""
+        if len(numbers) == len(self.operators):
+            return self
+        return replace(
+            self,
+            operators=tuple(self.operators[number] for number in numbers),
+            opacities=tuple(self.opacities[number] for number in numbers),
+        )
+
+    def __hash__(self) -> int:
+        # Of little: those of thousands of layers are asked for again and again.
+        return hash((len(self.operators), self.blending.name, self.order.name, self.space.name))
 
     @property
     def front_to_back(self) -> tuple[int, ...]:

@@ -53,11 +53,11 @@ class Term:
         """All of it times a weight (n)."""
         return Term(**{name: weight * array for name, array in self.planes().items()})
 
-    def part(self, pixels: slice) -> Term:
-        """Some pixels of it, as views."""
+    def part(self, pixels: slice | NDArray[np.intp]) -> Term:
+        """Some pixels of it; those of a slice are views."""
         return Term(**{name: array[..., pixels] for name, array in self.planes().items()})
 
-    def put(self, pixels: slice, part: Term) -> None:
+    def put(self, pixels: slice | NDArray[np.intp], part: Term) -> None:
         """Replaces some pixels of it."""
         for name, array in part.planes().items():
             getattr(self, name)[..., pixels] = array

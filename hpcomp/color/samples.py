@@ -85,6 +85,10 @@ class Strip:
     top: int = 0
 
 
+#: A layer without pixels in a strip: transparent all over.
+NOTHING = Strip(np.zeros((0, 0, 4), np.float32))
+
+
 def decode(samples: Samples, decoding: Decoding) -> Rgba:
     """Stored samples (rows, columns, channels) as linear, premultiplied RGBA, alpha in [0, 1].
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
-from functools import partial
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -132,10 +132,17 @@ class _Accumulator(ABC):
     def add(self, numbers: Sequence[int], strips: Sequence[Strip]) -> None:
         """Layers by number; `nonfinite` counts their pixels with NaN or Inf."""
         for number, strip in zip(numbers, strips, strict=True):
+            everywhere = number in self.rules.needed_everywhere
             inside = cropped(strip, self.width, self.height)
+            if not inside.samples.size and not everywhere:
+                continue
             rgba, self.nonfinite[number] = linear_rgba(inside)
+            pixels = _Pixels.of(inside, self.width)
+            if everywhere:
+                rgba = spread(rgba, inside.left, inside.top, self.width, self.height)
+                pixels = _Pixels(0)
             with np.errstate(all="ignore"):  # NaN and Inf may have been let through
-                self.take(number, spread(rgba, inside.left, inside.top, self.width, self.height))
+                self.take(number, rgba.reshape(-1, 4), pixels)
 
     def result(self, kind: str, losses: Losses, gamut: Primaries = REC709) -> Samples:
         """The composite (height, width, 4) as samples of a kind of `OUTPUT_TYPES`, or float64.
@@ -172,8 +179,11 @@ class _Accumulator(ABC):
     def _begin(self, n_pixels: int, dtype: Any) -> None: ...
 
     @abstractmethod
-    def take(self, number: int, rgba: Array) -> None:
-        """Layer `number`: (n_pixels, 4), linear, premultiplied, alpha in [0, 1]."""
+    def take(self, number: int, rgba: Array, pixels: _Pixels) -> None:
+        """Layer `number` in some pixels: (n, 4), linear, premultiplied, alpha in [0, 1].
+
+        Elsewhere it changes nothing.
+        """
 
     @abstractmethod
     def composite(self) -> Array:
@@ -186,18 +196,19 @@ class BottomUp(_Accumulator):
     def _begin(self, n_pixels: int, dtype: Any) -> None:
         self.below, self.alpha = self._no_light(n_pixels, dtype), np.zeros(n_pixels, dtype)
 
-    def take(self, number: int, rgba: Array) -> None:
+    def take(self, number: int, rgba: Array, pixels: _Pixels) -> None:
         operator = self.rules.operators[number]
         for block in _blocks(len(rgba)):
+            here = pixels.part(block)
             term, alpha = self.term(number, rgba[block])
             if operator is not None:
-                alpha_below = self.alpha[block]
+                alpha_below = self.alpha[here]
                 f_a, f_b = operator.factors(alpha, alpha_below)
-                both = term.weighted(f_a), self.below.part(block).weighted(f_b)
+                both = term.weighted(f_a), self.below.part(here).weighted(f_b)
                 term = sum_of(self.rules, *operator.front_first(*both))  # Eq. 2 with ⊕
                 alpha = operator.alpha(alpha, alpha_below)
-            self.below.put(block, term)
-            self.alpha[block] = alpha
+            self.below.put(here, term)
+            self.alpha[here] = alpha
 
     def composite(self) -> Array:
         return _result(self.rules, self.below, self.alpha)
@@ -210,14 +221,15 @@ class FrontToBack(_Accumulator):
         self.above, self.alpha = self._no_light(n_pixels, dtype), np.zeros(n_pixels, dtype)
         self.transmittance = np.ones(n_pixels, dtype)
 
-    def take(self, number: int, rgba: Array) -> None:
+    def take(self, number: int, rgba: Array, pixels: _Pixels) -> None:
         for block in _blocks(len(rgba)):
+            here = pixels.part(block)
             term, alpha = self.term(number, rgba[block])
-            weight = self.transmittance[block]
-            both = sum_of(self.rules, self.above.part(block), term.weighted(weight))
-            self.above.put(block, both)
-            self.alpha[block] += weight * alpha
-            self.transmittance[block] *= 1 - alpha
+            weight = self.transmittance[here]
+            both = sum_of(self.rules, self.above.part(here), term.weighted(weight))
+            self.above.put(here, both)
+            self.alpha[here] += weight * alpha
+            self.transmittance[here] *= 1 - alpha
 
     def composite(self) -> Array:
         return _result(self.rules, self.above, np.minimum(self.alpha, 1))
@@ -227,29 +239,90 @@ class AllLayers(_Accumulator):
     """Keeps every layer until all have come, then reduces the weighted terms in any order."""
 
     def _begin(self, n_pixels: int, dtype: Any) -> None:
-        self.layers: list[Array] = []
+        self.n_pixels = n_pixels
+        self.layers: dict[int, tuple[Array, _Pixels]] = {}
 
-    def take(self, number: int, rgba: Array) -> None:
-        self.layers.append(rgba)
+    def take(self, number: int, rgba: Array, pixels: _Pixels) -> None:
+        self.layers[number] = rgba, pixels
 
     def composite(self) -> Array:
-        rgba = np.empty_like(self.layers[0])
-        for block in _blocks(len(rgba)):
-            rgba[block] = self._reduced([layer[block] for layer in self.layers], block)
+        bottom, _ = self.layers[0]
+        rgba = np.empty((self.n_pixels, 4), bottom.dtype)
+        for block in _blocks(self.n_pixels):
+            rgba[block] = self._reduced(block)
         return rgba
 
-    def _reduced(self, layers: list[Array], block: slice) -> Array:
-        rules = self.rules
-        stack = weighted(rules, layers)
-        terms, phase = stack.terms, None
+    def _reduced(self, block: slice) -> Array:
+        """The composite of a block, of the layers that have pixels there."""
+        layers = {}
+        for number, (rgba, pixels) in self.layers.items():
+            where, turns = pixels.within(block, len(rgba))
+            if turns.start < turns.stop:
+                layers[number] = _spread_over(block, rgba[turns], where)
+        rules = self.rules.of_layers(list(layers))
+        stack = weighted(rules, list(layers.values()))
+        terms: list[Term | None] = [None] * len(self.rules.operators)
+        for number, term in zip(layers, stack.terms, strict=True):
+            terms[number] = term
+        phase = None
         if rules.blending.depends_on_place:
             phase = self.phases(block)
             if rules.background is not None:
-                terms = [*terms, background_term(rules, stack.alpha)]
-        reduced = rules.adding_order.reduce(
-            terms, partial(sum_of, rules), partial(sum_of_many, rules, phase=phase)
+                terms.append(background_term(rules, stack.alpha))
+        reduced = self.rules.adding_order.reduce(
+            terms,
+            lambda a, b: b if a is None else a if b is None else sum_of(rules, a, b),
+            lambda terms: sum_of_many(rules, [t for t in terms if t is not None], phase),
         )
         return _result(rules, reduced, stack.alpha)
+
+
+@dataclass(frozen=True)
+class _Pixels:
+    """Which pixels of a strip, counted by rows: those from `first` on, or those of `index`.
+
+    `index` rises.
+    """
+
+    first: int
+    index: NDArray[np.intp] | None = None
+
+    @classmethod
+    def of(cls, inside: Strip, width: int) -> _Pixels:
+        """Those of a layer that lies inside of a strip of that width."""
+        rows, columns = inside.samples.shape[:2]
+        first = inside.top * width + inside.left
+        if columns == width:
+            return cls(first)
+        row, column = np.arange(rows)[:, None], np.arange(columns)
+        return cls(first, (first + row * width + column).reshape(-1))
+
+    def part(self, block: slice) -> slice | NDArray[np.intp]:
+        """Some of them, by their turn, as an index into planes of the strip."""
+        if self.index is not None:
+            return self.index[block]
+        return slice(self.first + block.start, self.first + block.stop)
+
+    def within(self, block: slice, count: int) -> tuple[slice | NDArray[np.intp], slice]:
+        """Where in a block of the strip those of `count` are that lie there, and their turns."""
+        if self.index is not None:
+            begin, end = np.searchsorted(self.index, (block.start, block.stop)).tolist()
+            return self.index[begin:end] - block.start, slice(begin, end)
+        begin = max(block.start - self.first, 0)
+        end = min(block.stop - self.first, count)
+        return slice(self.first + begin - block.start, self.first + end - block.start), slice(
+            begin, end
+        )
+
+
+def _spread_over(block: slice, rgba: Array, where: slice | NDArray[np.intp]) -> Array:
+    """(n, 4): pixels at their place in a block, transparent elsewhere."""
+    n = block.stop - block.start
+    if len(rgba) == n:
+        return rgba
+    whole = np.zeros((n, 4), rgba.dtype)
+    whole[where] = rgba
+    return whole
 
 
 def _blocks(n_pixels: int) -> Iterator[slice]:

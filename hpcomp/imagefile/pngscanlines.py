@@ -68,12 +68,16 @@ class PngScanlines:
         self.bytes_per_row = layout.width * layout.pixel_bytes * (1 if layout.depth == 8 else 2)
         self.bytes_to_decode = 3 * max(_FILTERED_BYTES, self.bytes_per_row) + 2 * _PIECE_BYTES
         self.bytes_held = _INFLATE_BYTES + self.bytes_per_row + 128 * len(layout.pieces)
-        self._begin()
+        self._is_open = False
 
     def close(self) -> None:
         self._file.close()
+        if self._is_open:
+            del self._stream, self._pieces, self._above
+            self._is_open = False
 
     def _begin(self) -> None:
+        self._is_open = True
         self._row = 0
         self._stream = InflateStream()
         self._pieces = self._deflated_pieces()
@@ -82,7 +86,7 @@ class PngScanlines:
     def read(self, begin: int, end: int) -> Samples:
         """Rows `begin` to `end`, uint8 or uint16. Errors: `InputError`."""
         layout = self._layout
-        if begin < self._row:
+        if not self._is_open or begin < self._row:
             self._begin()
         try:
             at_once = self._rows_at_once()

@@ -95,6 +95,7 @@ class LayerReader:
         self.decoding = replace(self.decoding, working=primaries)
 
     def close(self) -> None:
+        """Gives back what is open; it is opened again where it is read again."""
         self._source.close()
 
     def read_samples(self, begin: int, end: int) -> Samples:

@@ -51,7 +51,7 @@ class Source(Protocol):
         """
 
     def close(self) -> None:
-        """Gives back what is open."""
+        """Gives back what is open; it is opened again where it is read again."""
 
 
 def source_of(file: ImageFile, part: Part, channels: Sequence[Channel], label: str) -> Source:

@@ -551,22 +551,42 @@ HPCOMP_INLINE void keep_at_once(const Rules &rules, const float *p, const float 
         for (int l = 0; l < kLanes; ++l) kept[k * kBlock + l] = unknown[l] == 0 ? kept[k * kBlock + l] : 1.0f;
 }
 
-// The pairs in which terms are added one by one, in their sequence: the right one to the left one, where
-// the sum is then. Each term is a right one once, but for the one in which all ends, which is returned.
-template <class Visit>
-HPCOMP_INLINE int visit_pairs(const Rules &rules, int count, bool backwards, Visit visit) {
-    if (rules.order == Order::kBalanced) {
-        // Neighbours pair level by level; an odd one is carried up.
-        int step = 1;
-        while (backwards && step < count) step *= 2;
-        for (; backwards ? step >= 1 : step < count; step = backwards ? step / 2 : step * 2)
-            for (int k = 0; k + step < count; k += 2 * step) visit(k, k + step);
-        return 0;
+// The pairs in which `count` terms are added one by one, in their sequence: the right one to the left one,
+// where the sum is then. Each term is a right one once, but for `root`, in which all ends.
+struct Pairs {
+    const int *left, *right;
+    int count, root;
+};
+
+// Of terms of the layers `numbers`, in rising order. Which pair they are in depends on these alone: a layer that
+// is not there changes no other's. `scratch` holds two ints a term and one a layer.
+HPCOMP_INLINE Pairs pairs_of(const Rules &rules, const int *numbers, int count, int *scratch) {
+    int *left = scratch, *right = left + count, *terms = right + count, pairs = 0;
+    const auto add_pair = [&](int l, int r) { left[pairs] = l, right[pairs++] = r; };
+    if (rules.order != Order::kBalanced) {
+        for (int layer = 0; layer < rules.layers; ++layer) terms[layer] = -1;
+        for (int k = 0; k < count; ++k) terms[numbers[k]] = k;
+        int root = -1;
+        for (int turn = 0; turn < rules.layers; ++turn) {
+            const int k = terms[rules.permutation[turn]];
+            if (k < 0) continue;
+            if (root < 0) root = k;
+            else add_pair(root, k);
+        }
+        return {left, right, pairs, root};
     }
-    const int last = count - 1;
-    for (int turn = 1; turn < count; ++turn)
-        visit(rules.permutation[0], rules.permutation[backwards ? last + 1 - turn : turn]);
-    return rules.permutation[0];
+    // Neighbours pair level by level; an odd one is carried up.
+    for (int k = 0; k < count; ++k) terms[k] = k;
+    for (int bit = 1, n = count; n > 1; ++bit) {
+        int sums = 0;
+        for (int i = 0; i < n; ++i) {
+            const int k = terms[i];
+            if (i + 1 < n && numbers[k] >> bit == numbers[terms[i + 1]] >> bit) add_pair(k, terms[++i]);
+            terms[sums++] = k;
+        }
+        n = sums;
+    }
+    return {left, right, pairs, 0};
 }
 
 // The sum of terms p (count, 2, kBlock) of which `kept` (count, kBlock) is kept, in the place of the first.
@@ -593,11 +613,11 @@ HPCOMP_INLINE void sum_kept_strengths(const float *p, float *strengths, const fl
     for (int l = 0; l < kLanes; ++l) m[l] = (p0[l] != 0) | (p1[l] != 0) ? sum[l] : 0.0f;
 }
 
-// Reduces weighted p (count, 2, kBlock), and their strengths (count, kBlock) if they have some, to the place of
-// the first, and tells in `kept` (count, kBlock) what is kept of each term; `kept` also is scratch, as are
-// `of_left` (count, kBlock) and `scratch`, which holds `reducing_floats`.
-HPCOMP_INLINE void reduce_terms(const Rules &rules, float *p, float *strengths, int count, int n, float *kept,
-                                float *of_left, float *scratch) {
+// Reduces weighted p (count, 2, kBlock) of the layers `numbers`, and their strengths (count, kBlock) if they have
+// some, to the place of the first, and tells in `kept` (count, kBlock) what is kept of each term; `kept` also is
+// scratch, as are `of_left` (count, kBlock) and `scratch`, which holds `reducing_floats` of all layers.
+HPCOMP_INLINE void reduce_terms(const Rules &rules, const int *numbers, float *p, float *strengths, int count,
+                                int n, float *kept, float *of_left, float *scratch) {
     const auto x = [p](int k) { return p + int64_t(k) * 2 * kBlock; };
     const auto m = [strengths](int k) { return strengths ? strengths + int64_t(k) * kBlock : nullptr; };
     if (rules.order == Order::kSimultaneous) {
@@ -613,21 +633,24 @@ HPCOMP_INLINE void reduce_terms(const Rules &rules, float *p, float *strengths, 
         }
         return;
     }
-    const int root = visit_pairs(rules, count, false, [&](int left, int right) {
+    const Pairs pairs = pairs_of(rules, numbers, count, reinterpret_cast<int *>(scratch));
+    for (int i = 0; i < pairs.count; ++i) {
+        const int left = pairs.left[i], right = pairs.right[i];
         Row a = of_left + int64_t(right) * kBlock, b = kept + int64_t(right) * kBlock;
         const ChromaPlanes added{x(right), x(right) + kBlock, m(right)};
         keep(rules, n, {x(left), x(left) + kBlock, m(left)}, added, false, a, b);
         add_kept(n, x(left), x(left) + kBlock, m(left), added, a, b);
-    });
+    }
+    const int root = pairs.root;
     for (int i = 0; i < n; ++i) kept[int64_t(root) * kBlock + i] = 1;
-    visit_pairs(rules, count, true, [&](int left, int right) {
-        Row of_sum = kept + int64_t(left) * kBlock, b = kept + int64_t(right) * kBlock;
-        ConstRow a = of_left + int64_t(right) * kBlock;
-        for (int i = 0; i < n; ++i) {
-            b[i] *= of_sum[i];
-            of_sum[i] *= a[i];
+    for (int i = pairs.count - 1; i >= 0; --i) {
+        Row of_sum = kept + int64_t(pairs.left[i]) * kBlock, b = kept + int64_t(pairs.right[i]) * kBlock;
+        ConstRow a = of_left + int64_t(pairs.right[i]) * kBlock;
+        for (int j = 0; j < n; ++j) {
+            b[j] *= of_sum[j];
+            of_sum[j] *= a[j];
         }
-    });
+    }
     if (root == 0) return;
     std::memcpy(x(0), x(root), 2 * sizeof(Plane));
     if (strengths) std::memcpy(m(0), m(root), sizeof(Plane));
@@ -654,10 +677,10 @@ HPCOMP_INLINE void weigh(int count, int n, float *f_a, const float *f_b, float *
     }
 }
 
-// What layer `k` and those below it do to each other's weights, and to the alpha so far.
-HPCOMP_INLINE void factors(const Layer &layer, int k, int n, const float *alpha_layer, float *f_a,
+// What a layer and those below it do to each other's weights, and to the alpha so far.
+HPCOMP_INLINE void factors(const Layer &layer, int number, int n, const float *alpha_layer, float *f_a,
                            float *f_b, float *alpha) {
-    if (k == 0) {
+    if (number == 0) {
         for (int i = 0; i < n; ++i) f_a[i] = 1, f_b[i] = 0, alpha[i] = alpha_layer[i];
         return;
     }

@@ -74,6 +74,15 @@ HPCOMP_INLINE void show(const Observer &observer, int number, int n, const Light
                   term.p1);
 }
 
+// Whether a layer changes anything in `n` pixels from column `x` of row `y` on: it has pixels there, or it erases
+// what lies around them. The bottom layer is where all others begin.
+HPCOMP_INLINE bool takes_part(const Layer &layer, int number, int x, int y, int n) {
+    const bool in_row = y >= layer.top && y - layer.top < layer.height;
+    const bool in_columns = layer.left - x < n && x - layer.left < layer.width;
+    const bool erases = layer.factor_b == Factor::kZero || layer.factor_b == Factor::kAlpha;
+    return (in_row && in_columns) || erases || number == 0;
+}
+
 void add_layers(const Rules &rules, const Layer *layers, const int *numbers, int count, int width,
                 int height, const State &state, int64_t *nonfinite, const Observer *observer) {
     for (int y = 0; y < height; ++y) {
@@ -81,6 +90,7 @@ void add_layers(const Rules &rules, const Layer *layers, const int *numbers, int
             const int n = width - x < kBlock ? width - x : kBlock;
             const State at = state_at(state, int64_t(y) * width + x);
             for (int k = 0; k < count; ++k) {
+                if (!takes_part(layers[k], numbers[k], x, y, n)) continue;
                 LightPlanes planes;
                 Plane alpha, lo, hi;
                 const Light term = planes.light(rules.strength);
@@ -153,45 +163,54 @@ void add_background_term(const Rules &rules, int n, const Light &term, float *we
 }
 
 // `scratch` holds `scratch_floats` of them.
-void reduce_layers(const Rules &rules, const Layer *layers, int count, int width, int height,
+void reduce_layers(const Rules &rules, const Layer *layers, const int *numbers, int count, int width, int height,
                    const State &state, float *scratch, int64_t *nonfinite, const Observer *observer) {
     const bool with_background = rules.order == Order::kWoven && rules.has_background;
-    const int all = count + (with_background ? 1 : 0);
-    const int64_t planes = int64_t(all) * kBlock;
     const bool strong = rules.strength != Strength::kChroma;
-    float *p = scratch;  // (all, 2, kBlock), then the others (all, kBlock):
-    const Light terms{p + 2 * planes, nullptr,       nullptr, p + 3 * planes, p + 4 * planes,
-                      p + 5 * planes, strong ? p + 9 * planes : nullptr};
-    float *f_a = p + 6 * planes, *f_b = p + 7 * planes, *kept = p + 8 * planes;
-    const auto term_at = [&](int k) {
-        const int64_t of = int64_t(k) * kBlock;
-        return Light{terms.luminance + of, p + 2 * of,        p + 2 * of + kBlock, terms.red + of,
-                     terms.green + of,     terms.blue + of, strong ? terms.strength + of : nullptr};
-    };
+    const int64_t most = count + (rules.order == Order::kWoven ? 1 : 0);
+    float *reducing = scratch + term_floats(most);
+    int *there = reinterpret_cast<int *>(reducing + reducing_floats(rules.order, most, rules.layers));
     for (int y = 0; y < height; ++y) {
         for (int x = 0; x < width; x += kBlock) {
             const int n = width - x < kBlock ? width - x : kBlock;
             const State at = state_at(state, int64_t(y) * width + x);
+            int terms_there = 0;
+            for (int k = 0; k < count; ++k)
+                if (takes_part(layers[k], numbers[k], x, y, n)) there[terms_there++] = k;
+            const int all = terms_there + (with_background ? 1 : 0);
+            const int64_t planes = int64_t(all) * kBlock;
+            float *p = scratch;  // (all, 2, kBlock), then the others (all, kBlock):
+            const Light terms{p + 2 * planes, nullptr,       nullptr, p + 3 * planes, p + 4 * planes,
+                              p + 5 * planes, strong ? p + 9 * planes : nullptr};
+            float *f_a = p + 6 * planes, *f_b = p + 7 * planes, *kept = p + 8 * planes;
+            const auto term_at = [&](int k) {
+                const int64_t of = int64_t(k) * kBlock;
+                return Light{terms.luminance + of, p + 2 * of,        p + 2 * of + kBlock, terms.red + of,
+                             terms.green + of,     terms.blue + of, strong ? terms.strength + of : nullptr};
+            };
             // Lanes beyond the row take part in the reduction, and must be harmless.
             if (n < kBlock) std::memset(scratch, 0, size_t(kTermPlanes * planes) * sizeof(float));
-            for (int k = 0; k < count; ++k) {
+            for (int k = 0; k < terms_there; ++k) {
+                const int number = numbers[there[k]];
+                const Layer &layer = layers[there[k]];
                 Plane alpha, lo, hi;
                 const Light term = term_at(k);
                 float *layer_a = f_a + int64_t(k) * kBlock, *layer_b = f_b + int64_t(k) * kBlock;
-                nonfinite[k] += load_term(rules, layers[k], x, y, n, term, alpha, lo, hi);
-                if (observer) show(*observer, k, n, term, alpha);
-                factors(layers[k], k, n, alpha, layer_a, layer_b, at.alpha);
+                nonfinite[there[k]] += load_term(rules, layer, x, y, n, term, alpha, lo, hi);
+                there[k] = number;
+                if (observer) show(*observer, number, n, term, alpha);
+                factors(layer, number, n, alpha, layer_a, layer_b, at.alpha);
                 if (!rules.bounded) continue;
-                if (k == 0) {
+                if (number == 0) {
                     // Under it was nothing, of which the planes know not.
                     std::memset(at.lo, 0, n * sizeof(float));
                     std::memset(at.hi, 0, n * sizeof(float));
                 }
                 bound(n, layer_a, layer_b, lo, hi, at);
             }
-            weigh(count, n, f_a, f_b, p, terms.strength);
-            if (with_background) add_background_term(rules, n, term_at(count), f_a + int64_t(count) * kBlock, at);
-            float *reducing = scratch + term_floats(all);
+            weigh(terms_there, n, f_a, f_b, p, terms.strength);
+            if (with_background)
+                add_background_term(rules, n, term_at(terms_there), f_a + int64_t(terms_there) * kBlock, at);
             if (rules.order == Order::kWoven) {
                 Plane phase;
                 if (at.phase) {
@@ -202,7 +221,7 @@ void reduce_layers(const Rules &rules, const Layer *layers, int count, int width
                 }
                 weave_terms(rules, p, terms.strength, all, n, phase, reducing, kept);
             } else {
-                reduce_terms(rules, p, terms.strength, all, n, kept, f_b, reducing);
+                reduce_terms(rules, there, p, terms.strength, all, n, kept, f_b, reducing);
             }
             std::memcpy(at.light.p0, p, n * sizeof(float));
             std::memcpy(at.light.p1, p + kBlock, n * sizeof(float));

@@ -28,11 +28,11 @@ constexpr int kPairedTerms = 32, kTabledTerms = 64;
 // So that what follows is aligned as doubles are.
 constexpr int64_t rounded_up(int64_t floats) { return (floats + 1) / 2 * 2; }
 
-// Scratch of a reduction of `n` layers, in floats: the seven planes of each term, its factors and what is
+// Scratch of a reduction of `n` terms of so many layers, in floats: the seven planes of each term, its factors and what is
 // kept of it; at once also the numbers of those with chroma, and the tables of pairs or what sorted terms
 // take, and these themselves. The pairs have their shoulders and supports, four rows of each term, and as
 // ints its neighbors and their number. Woven terms, of which the background is one, have their hues and
-// strengths.
+// strengths. What is added one by one has the pairs in which it is. All have the numbers of their layers.
 constexpr int64_t kTermPlanes = 10;
 constexpr int64_t term_floats(int64_t n) { return n * kTermPlanes * kBlock; }
 constexpr int64_t tabled(int64_t n) { return n < kTabledTerms ? n : kTabledTerms; }
@@ -42,15 +42,15 @@ constexpr int64_t sorting_doubles(int64_t n) { return 23 * n + 5; }
 constexpr int64_t run_doubles(int64_t n) { return 4 * n + sorting_doubles(n); }
 constexpr int64_t many_terms_floats(int64_t n) { return n > kPairedTerms ? 2 * run_doubles(n) : 0; }
 constexpr int64_t weaving_floats(int64_t n) { return 2 * rounded_up(n) + 6 * n * kLanes; }
-constexpr int64_t reducing_floats(Order order, int64_t n) {
+constexpr int64_t reducing_floats(Order order, int64_t n, int64_t layers) {
     if (order == Order::kWoven) return weaving_floats(n);
-    if (order != Order::kSimultaneous) return 0;
+    if (order != Order::kSimultaneous) return rounded_up(2 * n + layers);
     const int64_t pairs = pair_floats(n), many = many_terms_floats(n);
     return number_floats(n) + (pairs > many ? pairs : many);
 }
-constexpr int64_t scratch_floats(Order order, int64_t layers) {
-    const int64_t n = layers + (order == Order::kWoven ? 1 : 0);
-    return term_floats(n) + reducing_floats(order, n);
+constexpr int64_t scratch_floats(Order order, int64_t there, int64_t layers) {
+    const int64_t n = there + (order == Order::kWoven ? 1 : 0);
+    return term_floats(n) + reducing_floats(order, n, layers) + rounded_up(n);
 }
 
 // What the maps between colours and p are.
@@ -173,12 +173,13 @@ struct Observer {
 
 // What the binding calls; one set for each instruction set. An observer may be null.
 struct Engine {
-    // Adds layers to the accumulated strip of `width` x `height`; `nonfinite` counts pixels a layer.
+    // Adds layers to the accumulated strip of `width` x `height`; `nonfinite` counts pixels a layer. The bottom
+    // layer is one of them once; others may be missing that have no pixels in the strip and erase nothing.
     void (*add)(const Rules &, const Layer *, const int *numbers, int count, int width, int height,
                 const State &, int64_t *nonfinite, const Observer *);
     // Reduces all layers of a strip at once, into `State`.
-    void (*reduce)(const Rules &, const Layer *, int count, int width, int height, const State &,
-                   float *scratch, int64_t *nonfinite, const Observer *);
+    void (*reduce)(const Rules &, const Layer *, const int *numbers, int count, int width, int height,
+                   const State &, float *scratch, int64_t *nonfinite, const Observer *);
     // The strip over its background, exposed, as samples.
     void (*finish)(const Rules &, int64_t pixels, const State &, const Output &, Losses *);
 };

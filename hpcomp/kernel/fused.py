@@ -26,7 +26,16 @@ from ..blending.weaving import noise_tile
 from ..color import spaces
 from ..color.primaries import REC709, Primaries, conversion_pairs, to_xyz
 from ..color.quantization import Losses
-from ..color.samples import OUTPUT_TYPES, PLAIN, Decoding, Samples, Strip, cropped, linear_rgba
+from ..color.samples import (
+    NOTHING,
+    OUTPUT_TYPES,
+    PLAIN,
+    Decoding,
+    Samples,
+    Strip,
+    cropped,
+    linear_rgba,
+)
 from ..color.spaces import HslCoefficients, PlaneCoefficients, Space
 from ..color.transfer import SRGB, decode_table
 from ..color.uniformspaces import CielabCoefficients, OklabCoefficients
@@ -148,6 +157,8 @@ class KernelEngine:
         measures, rules = StripMeasures(strip), strip.rules
         layers = [
             layer_of(rules, number, layer, strip.width, strip.height)[0]
+            if layer is not NOTHING or number in rules.needed_everywhere
+            else None
             for number, layer in enumerate(strip.strips)
         ]
         _kernel.measure(
@@ -205,8 +216,12 @@ class Accumulator:
 
     def add(self, numbers: Sequence[int], strips: Sequence[Strip]) -> None:
         """Layers by number; `nonfinite` counts their pixels with NaN or Inf."""
-        layers = []
+        layers: list[_kernel.Layer | None] = []
+        needed = self.rules.needed_everywhere
         for number, strip in zip(numbers, strips, strict=True):
+            if strip is NOTHING and number not in needed:
+                layers.append(None)
+                continue
             layer, broken = layer_of(self.rules, number, strip, self.shape[1], self.shape[0])
             layers.append(layer)
             if broken is not None:
@@ -248,7 +263,7 @@ class Accumulator:
                 beyond_half=lost.beyond_half,
             )
         )
-        self._count(self.rules.arrival, nonfinite)
+        self._count(range(len(nonfinite)), nonfinite)
         return out
 
 

@@ -32,14 +32,15 @@ HPCOMP_INLINE float length(float x, float y) { return __builtin_sqrtf(x * x + y 
 
 // --- a block -------------------------------------------------------------------------------------
 
-// A block's terms: of the layers and then of the background. The loops copy what they need of it,
-// and take rows that do not overlap: else every pixel that is written could be a rule.
+// A block's terms: of the layers that are there, bottom first, and then of the background. The loops copy what
+// they need of it, and take rows that do not overlap: else every pixel that is written could be a rule.
 struct Block {
     const Rules &rules;
     const MeasureRules &measures;
     const Layer *stack;     // who is behind whom
     int n;                  // pixels
-    int layers;             // the number of the background, too
+    int layers;             // the place of the background, too
+    const int *numbers;     // (layers + 1): of the terms among all layers; after these the background's
     float *p, *size;        // (layers + 1, 2, kBlock) and (layers + 1, kBlock): terms and |t|
     float *near;            // (layers + 1, kBlock): whose hue is the result's
     int *active, actives;   // the terms that are anything here
@@ -94,11 +95,12 @@ void winners(const Block &block, const Support &support, Row winner, Row size) {
     for (int a = 0; a < block.actives; ++a) {
         const int k = block.active[a];
         if (k == block.layers) continue;
+        const float number = float(block.numbers[k] + 1);
         ConstRow near = block.near + k * kBlock, of = block.size + k * kBlock;
         for (int i = 0; i < n; ++i) {
             const float own = near[i] * of[i];
             theirs[i] += own;
-            winner[i] = own > size[i] ? float(k + 1) : winner[i];
+            winner[i] = own > size[i] ? number : winner[i];
             size[i] = larger(own, size[i]);
         }
     }
@@ -139,11 +141,12 @@ void add_terms(const Block &block, ContributorSums *sums) {
         const int k = block.active[a];
         ConstRow size = block.size + k * kBlock;
         for (int i = 0; i < n; ++i) mask[i] = size[i] > half_step;
-        Cell *const cells = block.cells + int64_t(k) * block.cell_columns;
-        sums[k].pixels += count_in_cells(block, contributes, [=](int cell, int pixels) {
+        const int number = block.numbers[k];
+        Cell *const cells = block.cells + int64_t(number) * block.cell_columns;
+        sums[number].pixels += count_in_cells(block, contributes, [=](int cell, int pixels) {
             cells[cell].pixels = uint16_t(cells[cell].pixels + pixels);
         });
-        sums[k].chroma += sum_of(size, n, block.small);
+        sums[number].chroma += sum_of(size, n, block.small);
     }
 }
 
@@ -190,11 +193,12 @@ void measure_result(const Block &block, int which, ConstRow p0, ConstRow p1, con
             mask[i] = (size[i] > half_step) & (chromatic[i] * near[i] != 0);
             values[i] = size[i] * (near[i] != 0 ? of_near[i] : of_others[i]);
         }
-        Cell *const cells = block.cells + int64_t(k) * block.cell_columns;
-        contributors[k].survived += count_in_cells(block, survives, [=](int cell, int) {
+        const int number = block.numbers[k];
+        Cell *const cells = block.cells + int64_t(number) * block.cell_columns;
+        contributors[number].survived += count_in_cells(block, survives, [=](int cell, int) {
             cells[cell].shown = uint16_t(cells[cell].shown | 1u << which);
         });
-        contributors[k].kept += sum_of(values, n, block.small);
+        contributors[number].kept += sum_of(values, n, block.small);
     }
 }
 
@@ -205,9 +209,9 @@ void set_provenance(const Block &block, const Support &support, const Provenance
     for (int i = 0; i < n; ++i) x[i] = y[i] = runner_up[i] = 0;
     for (int a = 0; a < block.actives; ++a) {
         const int k = block.active[a];
-        const float *px = block.x(k), *py = block.y(k);
+        const float *px = block.x(k), *py = block.y(k), number = float(block.numbers[k] + 1);
         for (int i = 0; i < n; ++i) {
-            const bool is_winner = winner[i] == float(k + 1);
+            const bool is_winner = winner[i] == number;
             x[i] = is_winner ? px[i] : x[i];
             y[i] = is_winner ? py[i] : y[i];
         }
@@ -231,9 +235,10 @@ void set_provenance(const Block &block, const Support &support, const Provenance
 // The layers' terms added one by one, upwards or downwards, the background last.
 void fold(const Block &block, bool upward, float *p0, float *p1) {
     const Rules rules = block.rules;
+    const auto is_behind = [&](int k) { return k == block.layers || block.stack[block.numbers[k]].behind; };
     const auto add_term = [&](int turn, int k) {
         if (turn > 0) {
-            add(rules, block.n, p0, p1, block.x(k), block.y(k), k == block.layers || block.stack[k].behind);
+            add(rules, block.n, p0, p1, block.x(k), block.y(k), is_behind(k));
         } else {
             std::memcpy(p0, block.x(k), sizeof(Plane));
             std::memcpy(p1, block.y(k), sizeof(Plane));
@@ -257,7 +262,8 @@ void reduce(const Block &block, float *scratch, float *p0, float *p1) {
     float *p = scratch;
     std::memcpy(p, block.p, size_t(count) * 2 * sizeof(Plane));
     float *kept = p + int64_t(count) * 2 * kBlock, *of_left = kept + int64_t(count) * kBlock;
-    reduce_terms(block.rules, p, nullptr, count, block.n, kept, of_left, of_left + int64_t(count) * kBlock);
+    reduce_terms(block.rules, block.numbers, p, nullptr, count, block.n, kept, of_left,
+                 of_left + int64_t(count) * kBlock);
     std::memcpy(p0, p, sizeof(Plane));
     std::memcpy(p1, p + kBlock, sizeof(Plane));
     if (block.actives && block.active[block.actives - 1] == count)
@@ -350,15 +356,17 @@ int order_sensitive(const Block &block, const Support &support, const float *chr
 // The parts of a measurer's scratch, by terms: p twice as long as the others.
 struct Scratch {
     float *p, *luminance, *alpha, *f_a, *f_b, *size, *near, *reducing;
-    int *active;
+    int *active, *numbers;
 
-    explicit Scratch(const Measurer &of) {
-        const int64_t row = int64_t(of.count + 1) * kBlock;
-        p = of.scratch;
-        luminance = p + 2 * row, alpha = luminance + row, f_a = alpha + row, f_b = f_a + row;
-        size = f_b + row, near = size + row;
-        active = reinterpret_cast<int *>(near + row);
-        reducing = near + 2 * row;
+    // From term `first` on.
+    explicit Scratch(const Measurer &of, int first = 0) {
+        const int64_t row = int64_t(of.most + 1) * kBlock, skipped = int64_t(first) * kBlock;
+        p = of.scratch + 2 * skipped;
+        luminance = of.scratch + 2 * row + skipped;
+        alpha = luminance + row, f_a = alpha + row, f_b = f_a + row, size = f_b + row, near = size + row;
+        active = reinterpret_cast<int *>(of.scratch + 8 * row);
+        numbers = reinterpret_cast<int *>(of.scratch + 9 * row) + first;
+        reducing = of.scratch + 10 * row;
     }
 };
 
@@ -366,27 +374,29 @@ Hues hues_of(const Measurer &of, int k) {
     return {of.found->hues + int64_t(k) * of.measures->bins * kHueColumns, of.found->others + k};
 }
 
-// Keeps a block of a layer as a term, and adds its colours to its histogram.
-void observe_term(void *self, int k, int n, const float *red, const float *green, const float *blue,
+// Keeps a block of a layer as a term, and adds its colours to its histogram. Terms come bottom first, or from
+// the front, and lie bottom first.
+void observe_term(void *self, int number, int n, const float *red, const float *green, const float *blue,
                   const float *alpha, const float *luminance, const float *p0, const float *p1) {
-    const Measurer &of = *static_cast<const Measurer *>(self);
-    const Scratch scratch(of);
-    float *x = scratch.p + int64_t(k) * 2 * kBlock, *y = x + kBlock, *to = scratch.luminance + k * kBlock;
-    std::memcpy(scratch.alpha + k * kBlock, alpha, n * sizeof(float));
+    Measurer &of = *static_cast<Measurer *>(self);
+    const int turn = of.terms++;
+    const Scratch scratch(of, of.rules->order == Order::kFrontToBack ? of.most - 1 - turn : turn);
+    float *x = scratch.p, *y = x + kBlock, *to = scratch.luminance;
+    *scratch.numbers = number;
+    std::memcpy(scratch.alpha, alpha, n * sizeof(float));
     const bool nothing = is_nothing(red, green, blue, alpha, n);
     if (nothing || n < kBlock) {
         // Lanes beyond the row take part in the reduction, and must be harmless.
         std::memset(x, 0, 2 * sizeof(Plane));
         std::memset(to, 0, sizeof(Plane));
     }
-    if (nothing) {
-        hues_of(of, k).others->transparent += n;
-        return;
-    }
+    if (nothing) return;
+    const Hues hues = hues_of(of, number);
+    hues.others->transparent -= n;
     Plane chroma;
     ConstRow px = p0, py = p1;
     for (int i = 0; i < n; ++i) chroma[i] = length(px[i], py[i]);
-    add_hues(*of.measures, n, red, green, blue, alpha, chroma, hues_of(of, k));
+    add_hues(*of.measures, n, red, green, blue, alpha, chroma, hues);
     std::memcpy(x, p0, n * sizeof(float));
     std::memcpy(y, p1, n * sizeof(float));
     std::memcpy(to, luminance, n * sizeof(float));
@@ -394,15 +404,17 @@ void observe_term(void *self, int k, int n, const float *red, const float *green
 
 // Measures a block whose terms have all been kept.
 void observe_block(void *self, int column, int row, int n) {
-    const Measurer &of = *static_cast<const Measurer *>(self);
+    Measurer &of = *static_cast<Measurer *>(self);
     const Rules &rules = *of.rules;
-    const int count = of.count;
-    const Scratch scratch(of);
+    const int all = of.count, count = of.terms;
+    const Scratch scratch(of, rules.order == Order::kFrontToBack ? of.most - count : 0);
+    of.terms = 0;
+    scratch.numbers[count] = all;
     float *p = scratch.p, *luminance = scratch.luminance;
     Plane alpha, sum, total;
     for (int k = 0; k < count; ++k)
-        factors(of.layers[k], k, n, scratch.alpha + k * kBlock, scratch.f_a + k * kBlock,
-                scratch.f_b + k * kBlock, alpha);
+        factors(of.layers[scratch.numbers[k]], scratch.numbers[k], n, scratch.alpha + k * kBlock,
+                scratch.f_a + k * kBlock, scratch.f_b + k * kBlock, alpha);
     weigh(count, n, scratch.f_a, scratch.f_b, p);
     for (int i = 0; i < n; ++i) sum[i] = 0;
     for (int k = 0; k < count; ++k) {
@@ -421,11 +433,14 @@ void observe_block(void *self, int column, int row, int n) {
             below[kBlock + i] = uncovered * rules.background_p[1];
             alpha[i] = 1;
         }
+    } else {
+        std::memset(p + int64_t(count) * 2 * kBlock, 0, 2 * sizeof(Plane));
+        std::memset(luminance + count * kBlock, 0, sizeof(Plane));
     }
     const Cells &cells = of.found->cells;
     const int x = cells.left + column, y = cells.top + of.top + row;
-    Cell *const first_cell = cells.first + int64_t(y / kCell) * (count + 1) * cells.columns + x / kCell;
-    Block block{rules, *of.measures, of.layers, n, count, p, scratch.size, scratch.near, scratch.active,
+    Cell *const first_cell = cells.first + int64_t(y / kCell) * (all + 1) * cells.columns + x / kCell;
+    Block block{rules, *of.measures, of.layers, n, count, scratch.numbers, p, scratch.size, scratch.near, scratch.active,
                 0, false, sum, total, alpha, first_cell, cells.columns, x % kCell};
     if (!find_active(block, luminance, total)) {
         of.found->unmeasured += take_out_unknown(count + 1, n, p, luminance, sum, alpha);
@@ -433,14 +448,14 @@ void observe_block(void *self, int column, int row, int n) {
         find_active(block, luminance, total);
     }
 
-    add_terms(block, of.found->contributors + int64_t(kBothResults) * (count + 1));
+    add_terms(block, of.found->contributors + int64_t(kBothResults) * (all + 1));
     Plane p0, p1, chromatic;
     Support support;
     const auto measure_as = [&](int which) {
         support_of(block, p0, p1, &support);
         measure_result(block, which, p0, p1, support, of.found->results + which,
-                       of.found->contributors + int64_t(which) * (count + 1),
-                       hues_of(of, count + which), chromatic);
+                       of.found->contributors + int64_t(which) * (all + 1),
+                       hues_of(of, all + which), chromatic);
     };
     for (int i = 0; i < n; ++i) p0[i] = p1[i] = 0;
     for (int a = 0; a < block.actives; ++a) {

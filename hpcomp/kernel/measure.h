@@ -62,18 +62,19 @@ struct Measures {
     Cells cells;
 };
 
-// Floats of scratch for `n` layers.
-constexpr int64_t measure_floats(Order order, int64_t n) {
-    return (n + 1) * 9 * kBlock + scratch_floats(order, n);
+// Floats of scratch for `n` terms of so many layers.
+constexpr int64_t measure_floats(Order order, int64_t n, int64_t layers) {
+    return (n + 1) * 10 * kBlock + scratch_floats(order, n, layers);
 }
 
 // Measures all layers of a strip as they are composited, bottom first or from the front.
 struct Measurer {
     const Rules *rules;
     const MeasureRules *measures;
-    const Layer *layers;  // bottom first
-    int count;
+    const Layer *layers;  // of all numbers
+    int count, most;      // layers; and those of them that have pixels in the strip
     int width, top;       // of the strip; the row of it where the rows begin that are composited
+    int terms;            // of the layers that have come in this block
     float *scratch;       // `measure_floats`, zeros before the first block
     Measures *found;
 };

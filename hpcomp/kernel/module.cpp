@@ -467,6 +467,25 @@ template <Result kWhich> ResultFound found_of(const StripMeasures &of) {
 
 using Phases = nb::ndarray<const float, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
 
+// Layers of a strip by number, in the order in which they came.
+struct HeldLayers {
+    std::vector<int> numbers;
+    std::vector<StripLayer> strips;
+
+    void add(int number, const StripLayer &strip) { numbers.push_back(number), strips.push_back(strip); }
+
+    void add(const HeldLayers &more) {
+        numbers.insert(numbers.end(), more.numbers.begin(), more.numbers.end());
+        strips.insert(strips.end(), more.strips.begin(), more.strips.end());
+    }
+
+    std::vector<Layer> layers() const {
+        std::vector<Layer> made;
+        for (const StripLayer &strip : strips) made.push_back(strip.layer);
+        return made;
+    }
+};
+
 class Accumulator {
   public:
     // `left`, `top`: of its first pixel, from the corner of the canvas. `phases`: of the weave in all its pixels,
@@ -484,12 +503,10 @@ class Accumulator {
         state_.phase = phases_.data();
     }
 
-    // Takes layers in their turn. Returns how many pixels of each are NaN or infinite; where layers
-    // wait for all the others, `result` tells.
+    // Takes layers in their turn; null are those that have no pixels in the strip and erase nothing. Returns how
+    // many pixels of each are NaN or infinite; where layers wait for all the others, `result` tells.
     std::vector<int64_t> add(const std::vector<int> &numbers, std::vector<StripLayer *> strips) {
         if (numbers.size() != strips.size()) throw nb::value_error("a number for each layer");
-        for (const StripLayer *strip : strips)
-            if (strip == nullptr) throw nb::type_error("layers must be made by `layer`");
         const int layers_in_all = rules_->rules.layers;
         if (numbers.size() > size_t(layers_in_all - come_)) throw nb::value_error("too many layers");
         const bool from_front = rules_->rules.order == Order::kFrontToBack;
@@ -497,28 +514,34 @@ class Accumulator {
             const int turn = come_ + int(i);
             if (numbers[i] != (from_front ? layers_in_all - 1 - turn : turn))
                 throw nb::value_error("layers out of order");
+            if (numbers[i] == 0 && strips[i] == nullptr) throw nb::value_error("the bottom layer is needed");
         }
         come_ += int(numbers.size());
-        std::vector<int64_t> nonfinite(numbers.size(), 0);
         waits_ = !folds() || int(numbers.size()) == layers_in_all;
-        if (!waits_) {
-            if (planes_.empty()) begin_planes(height_);
-            // Copies, which keep the arrays alive while other threads run.
-            std::vector<StripLayer> taken;
-            for (const StripLayer *strip : strips) taken.push_back(*strip);
-            std::vector<Layer> layers;
-            for (const StripLayer &strip : taken) layers.push_back(strip.layer);
-            nb::gil_scoped_release unlocked;
-            engine_->add(rules_->rules, layers.data(), numbers.data(), int(numbers.size()), width_,
-                         height_, state_, nonfinite.data(), nullptr);
-        } else {
-            for (const StripLayer *strip : strips) held_.push_back(*strip);
+        // Copies, which keep the arrays alive while other threads run.
+        HeldLayers taken;
+        for (size_t i = 0; i < numbers.size(); ++i)
+            if (strips[i]) taken.add(numbers[i], *strips[i]);
+        std::vector<int64_t> nonfinite(numbers.size(), 0);
+        if (waits_) {
+            held_.add(taken);
+            return nonfinite;
         }
+        if (planes_.empty()) begin_planes(height_);
+        std::vector<int64_t> counts(taken.numbers.size(), 0);
+        std::vector<Layer> layers = taken.layers();
+        {
+            const nb::gil_scoped_release unlocked;
+            engine_->add(rules_->rules, layers.data(), taken.numbers.data(), int(layers.size()), width_, height_,
+                         state_, counts.data(), nullptr);
+        }
+        for (size_t i = 0, k = 0; i < numbers.size(); ++i)
+            if (strips[i]) nonfinite[i] = counts[k++];
         return nonfinite;
     }
 
     // Writes the strip to `out`, and measures it if all layers came at once; returns what could not be
-    // written as it is, and of the layers as `add` does.
+    // written as it is, and how many pixels of each layer, by its number, are NaN or infinite.
     std::pair<Losses, std::vector<int64_t>> result(nb::ndarray<nb::device::cpu, nb::c_contig> out,
                                                    std::shared_ptr<CodeTables> codes,
                                                    StripMeasures *measures) {
@@ -535,16 +558,13 @@ class Accumulator {
             throw nb::value_error("integer output needs the codes of its depth, floats none");
         if (codes) static_cast<Codes &>(output) = codes->codes;
         finished_ = true;
-        const std::vector<StripLayer> held = std::move(held_);
-        std::vector<int64_t> nonfinite(held.size(), 0);
+        const HeldLayers held = std::move(held_);
+        std::vector<int64_t> nonfinite(size_t(rules_->rules.layers), 0);
         Losses losses{};
-        std::vector<Layer> layers;
-        for (const StripLayer &strip : held) layers.push_back(strip.layer);
         {
             const nb::gil_scoped_release unlocked;
             if (waits_)
-                reduce_in_bands(std::move(layers), &output, int64_t(out.dtype().bits / 8), &losses,
-                                nonfinite.data(), measures);
+                reduce_in_bands(held, &output, int64_t(out.dtype().bits / 8), &losses, &nonfinite, measures);
             else
                 engine_->finish(rules_->rules, int64_t(height_) * width_, state_, output, &losses);
         }
@@ -555,12 +575,9 @@ class Accumulator {
     void measure(StripMeasures &measures) {
         check_finished(&measures);
         finished_ = true;
-        const std::vector<StripLayer> held = std::move(held_);
-        std::vector<int64_t> nonfinite(held.size(), 0);
-        std::vector<Layer> layers;
-        for (const StripLayer &strip : held) layers.push_back(strip.layer);
+        const HeldLayers held = std::move(held_);
         const nb::gil_scoped_release unlocked;
-        reduce_in_bands(std::move(layers), nullptr, 0, nullptr, nonfinite.data(), &measures);
+        reduce_in_bands(held, nullptr, 0, nullptr, nullptr, &measures);
     }
 
   private:
@@ -603,21 +620,27 @@ class Accumulator {
 
     // All layers, from samples to samples in bands whose planes stay in cache. Without an output the
     // layers are measured alone.
-    void reduce_in_bands(std::vector<Layer> layers, const Output *output, int64_t sample_bytes,
-                         Losses *losses, int64_t *nonfinite, StripMeasures *measures) {
+    void reduce_in_bands(const HeldLayers &held, const Output *output, int64_t sample_bytes, Losses *losses,
+                         std::vector<int64_t> *nonfinite, StripMeasures *measures) {
         const Rules &rules = rules_->rules;
+        std::vector<Layer> layers = held.layers();
+        const std::vector<int> &numbers = held.numbers;
         const int n = int(layers.size());
-        std::vector<int> numbers(layers.size());
-        std::vector<Layer> by_number(layers);
-        for (int i = 0; i < n; ++i)
-            numbers[size_t(i)] = rules.order == Order::kFrontToBack ? n - 1 - i : i;
-        for (int i = 0; i < n; ++i) by_number[size_t(numbers[size_t(i)])] = layers[size_t(i)];
-        std::vector<float> scratch(folds() ? 0 : size_t(scratch_floats(rules.order, n)));
-        std::vector<float> measuring(measures ? size_t(measure_floats(rules.order, n)) : 0);
+        std::vector<int64_t> counts(layers.size(), 0);
+        std::vector<float> scratch(folds() ? 0 : size_t(scratch_floats(rules.order, n, rules.layers)));
+        std::vector<float> measuring;
+        std::vector<Layer> by_number;
         Measurer measurer{};
-        if (measures)
-            measurer = {&rules, &measures->rules, by_number.data(), n, width_, 0, measuring.data(),
-                        &measures->found};
+        if (measures) {
+            measuring.resize(size_t(measure_floats(rules.order, n, rules.layers)));
+            by_number.resize(size_t(rules.layers));
+            for (size_t k = 0; k < layers.size(); ++k) by_number[size_t(numbers[k])] = layers[k];
+            // Until its pixels come, a layer is transparent.
+            for (int k = 0; k < rules.layers; ++k)
+                measures->found.others[k].transparent += int64_t(width_) * height_;
+            measurer = {&rules, &measures->rules, by_number.data(), rules.layers, n, width_, 0, 0,
+                        measuring.data(), &measures->found};
+        }
         const Observer watching{&measurer, level_.measuring->term, level_.measuring->block};
         const Observer *observer = measures ? &watching : nullptr;
         const int band = std::max(1, kBandPixels / width_);
@@ -626,11 +649,11 @@ class Accumulator {
             begin_planes(rows);
             measurer.top = y;
             if (folds())
-                engine_->add(rules, layers.data(), numbers.data(), n, width_, rows, state_, nonfinite,
+                engine_->add(rules, layers.data(), numbers.data(), n, width_, rows, state_, counts.data(),
                              observer);
             else
-                engine_->reduce(rules, layers.data(), n, width_, rows, state_, scratch.data(), nonfinite,
-                                observer);
+                engine_->reduce(rules, layers.data(), numbers.data(), n, width_, rows, state_, scratch.data(),
+                                counts.data(), observer);
             if (output) {
                 Output part = *output;
                 part.samples = static_cast<char *>(output->samples) + 4 * sample_bytes * width_ * y;
@@ -640,6 +663,7 @@ class Accumulator {
             state_.top += rows;
             if (state_.phase) state_.phase += int64_t(rows) * width_;
         }
+        for (size_t k = 0; nonfinite && k < counts.size(); ++k) (*nonfinite)[size_t(numbers[k])] = counts[k];
     }
 
     std::shared_ptr<StackRules> rules_;
@@ -648,7 +672,7 @@ class Accumulator {
     int width_, height_;
     std::vector<float> planes_, phases_;
     State state_{};
-    std::vector<StripLayer> held_;
+    HeldLayers held_;
     int come_ = 0;  // how many layers have
     bool waits_ = true;     // for all layers, which are held until then
     bool finished_ = false;
@@ -757,7 +781,7 @@ NB_MODULE(_kernel, module) {
     // Arrays and enums are taken as they are or refused: a converted copy of an array would be slow, or
     // lose a result, and a number is no choice.
     module.def("scratch_bytes", [](Order order, int layers) {
-        return int64_t(sizeof(float)) * scratch_floats(order, layers);
+        return int64_t(sizeof(float)) * scratch_floats(order, layers, layers);
     }, nb::kw_only(), "order"_a.noconvert(), "layers"_a);
     module.def("run_bytes", [](int64_t terms) {
         return int64_t(sizeof(double)) * run_doubles(terms);

@@ -7,8 +7,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import accumulate
 
 from ..errors import MismatchError
+from ..geometry import Window
 from ..imagefile.reading import STRIP_ROWS, LayerReader
 from ..options import ResourceOptions
 from ..system.memory import parse_bytes
@@ -68,6 +70,16 @@ class Budget:
     def least(self, block: int) -> int:
         """The memory for strips of one compression block: any less would decode it many times."""
         return int((self.fixed + block * self.per_row) / USED_SHARE) + 1
+
+
+def most_at_once(windows: Sequence[Window], values: Sequence[int], rows: int) -> int:
+    """The largest sum of the values of windows that one strip of so many rows can meet."""
+    changes = sorted(
+        change
+        for window, value in zip(windows, values, strict=True)
+        for change in ((window.y - rows, value), (window.bottom, -value))
+    )
+    return max(accumulate(change for _, change in changes), default=0)
 
 
 def share_out(

@@ -7,11 +7,9 @@ import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-import numpy as np
-
 from ..blending.rules import StackRules
 from ..color.primaries import BOTTOM
-from ..color.samples import Strip, cropped, nonfinite_pixels
+from ..color.samples import NOTHING, Strip, cropped, nonfinite_pixels
 from ..errors import SettingError
 from ..geometry import Window
 from ..imagefile.reading import LayerReader
@@ -25,10 +23,6 @@ Layer = LayerSpec | str | os.PathLike[str]
 
 #: Files that are open beside the layers: libraries, the output, the standard streams.
 OTHER_OPEN_FILES = 64
-
-
-#: A layer without pixels in a strip: transparent all over.
-NOTHING = Strip(np.zeros((0, 0, 4), np.float32))
 
 
 @dataclass(frozen=True)
@@ -45,12 +39,17 @@ class PlacedLayer:
         return self.reader.window.moved(self.dx, self.dy)
 
     def read(self, rows: Window) -> Strip:
-        """What the layer has of `rows` of the canvas, `NOTHING` where it has nothing there."""
+        """What the layer has of `rows` of the canvas, `NOTHING` where it has nothing there.
+
+        Its file is open from its first row to its last one: thousands of layers may follow.
+        """
         common = self.window.intersection(rows)
         if common is None:
             return NOTHING
         begin = common.y - self.dy
         samples = self.reader.read_samples(begin, begin + common.height)
+        if common.bottom == self.window.bottom:
+            self.reader.close()
         return Strip(samples, self.reader.decoding, self.window.x - rows.x, common.y - rows.y)
 
     def read_checked(self, rows: Window) -> Strip:

@@ -8,10 +8,11 @@ from functools import partial
 from ..blending.rules import Reduction, StackRules
 from ..engine import choice as engine
 from ..geometry import Window
-from ..imagefile.reading import LayerReader
+from ..imagefile.reading import STRIP_ROWS
 from ..imagefile.writing import OutputForm
 from ..layers import budget
-from ..layers.budget import DECODING_BYTES, RGBA_BYTES, THREAD_BYTES, Budget
+from ..layers.budget import DECODING_BYTES, RGBA_BYTES, THREAD_BYTES, Budget, most_at_once
+from ..layers.placing import PlacedLayer
 from ..options import ResourceOptions
 from ..system.threads import reads_ahead, writes_behind
 
@@ -19,6 +20,8 @@ from ..system.threads import reads_ahead, writes_behind
 LAYERS_AT_ONCE = 8
 #: What the reference engine takes for a block of pixels and the pairs of their terms.
 NUMPY_BYTES = 10 << 20
+#: What is known of a layer, whose file may be closed.
+READER_BYTES = 8 << 10
 #: A pixel of an accumulator's planes.
 PLANES_BYTES = 32
 #: The two planes more of a space in which the result is to be brought back into gamut.
@@ -28,7 +31,7 @@ STRENGTH_BYTES = 4
 
 
 def stack_budget(
-    readers: Sequence[LayerReader],
+    layers: Sequence[PlacedLayer],
     width: int,
     rules: StackRules,
     form: OutputForm,
@@ -39,40 +42,47 @@ def stack_budget(
 
     `extra`: for each pixel of a strip and fixed, where all layers are looked at once more.
     """
+    readers = [layer.reader for layer in layers]
+    windows = [layer.window for layer in layers]
+    strip = max(STRIP_ROWS, *(reader.rows_at_once for reader in readers))
     all_at_once = rules.reduction is Reduction.ALL_LAYERS or any(extra)
+    met = most_at_once(windows, [1] * len(layers), strip) + len(rules.needed_everywhere)
+    met = min(met, len(layers))
+    row_bytes = [reader.bytes_per_row for reader in readers]
     if all_at_once or len(readers) <= LAYERS_AT_ONCE:
         # Strips that are being finished still hold their layers.
-        held = sum(reader.bytes_per_row for reader in readers) * (1 + writes_behind(threads))
+        held = most_at_once(windows, row_bytes, strip) * (1 + writes_behind(threads))
     else:
-        widest = sorted((reader.bytes_per_row for reader in readers), reverse=True)
-        held = sum(widest[:LAYERS_AT_ONCE])
+        held = sum(sorted(row_bytes, reverse=True)[:LAYERS_AT_ONCE])
     decoded = 0
     in_numpy = engine.active().decodes_in_numpy
     if any(extra):
         in_numpy = in_numpy or engine.measuring(rules).decodes_in_numpy
     if in_numpy or not all(reader.is_plain for reader in readers):
-        at_once = len(readers) if all_at_once else LAYERS_AT_ONCE
-        decoded = min(at_once, len(readers)) * RGBA_BYTES + DECODING_BYTES
+        decoded = (met if all_at_once else min(met, LAYERS_AT_ONCE)) * RGBA_BYTES + DECODING_BYTES
     planes = PLANES_BYTES + (BOUNDS_BYTES if rules.bounded else 0)
     planes += STRENGTH_BYTES if rules.strength.of_chroma else 0
-    widest_row = max(reader.bytes_per_row for reader in readers)
+    widest_row = max(row_bytes)
+    # Files are open from their first row to their last, some for the strip that is read ahead.
+    open_bytes = most_at_once(windows, [reader.bytes_held for reader in readers], 2 * strip)
     return Budget(
         per_row=held
         + reads_ahead(threads) * widest_row
         + width * (decoded + writes_behind(threads) * (planes + form.bytes_per_pixel + extra[0])),
         fixed=(NUMPY_BYTES if in_numpy else 0)
-        + sum(reader.bytes_held for reader in readers)
+        + len(readers) * READER_BYTES
+        + open_bytes
         + threads * max(reader.bytes_to_decode for reader in readers)
         + form.bytes_to_encode(width, threads)
         + threads * THREAD_BYTES
         # Strips are reduced where they are prepared to be written.
-        + writes_behind(threads) * engine.active().bytes_to_reduce(rules, len(readers))
+        + writes_behind(threads) * engine.active().bytes_to_reduce(rules, met)
         + extra[1],
     )
 
 
 def share_out(
-    readers: Sequence[LayerReader],
+    layers: Sequence[PlacedLayer],
     window: Window,
     rules: StackRules,
     form: OutputForm,
@@ -85,5 +95,6 @@ def share_out(
     `extra`: as in `stack_budget`. Errors: `MismatchError` that names the least memory this stack
     can be made in.
     """
-    budget_of = partial(stack_budget, readers, window.width, rules, form, extra)
+    budget_of = partial(stack_budget, layers, window.width, rules, form, extra)
+    readers = [layer.reader for layer in layers]
     return budget.share_out(readers, window.height, granted, budget_of, "this stack", cell=cell)

@@ -100,7 +100,7 @@ def _planned(
     readers = [layer.reader for layer in stacked.layers]
     readers[0].unseen.alone = len(readers) == 1 and stacked.rules.background is None
     threads, strip_rows = share_out(
-        readers,
+        stacked.layers,
         window,
         stacked.rules,
         request.form,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from bisect import bisect_left, bisect_right
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -11,7 +12,7 @@ from typing import Any
 
 from ..blending.rules import Reduction
 from ..color.quantization import Losses
-from ..color.samples import Strip
+from ..color.samples import NOTHING, Strip
 from ..engine import choice as engine
 from ..engine.contract import Accumulator
 from ..geometry import Window
@@ -47,24 +48,25 @@ def composite_strips(plan: StackPlan, writer: ImageWriter, observer: Observer) -
     at_once = LAYERS_AT_ONCE
     if rules.reduction is Reduction.ALL_LAYERS or observer.sees_layers:
         at_once = len(layers)
-    groups = list(_grouped(rules.arrival, at_once))
+    arrival, present = rules.arrival, _layers_by_strip(plan)
     reads = (
         (number, partial(layers[number].read, rows))
-        for rows in plan.strips()
-        for number in rules.arrival
+        for rows, there in zip(plan.strips(), present, strict=True)
+        for number in arrival
+        if number in there
     )
     finishing = _Finishing(plan, writer, observer)
     with ThreadPipeline[Strip](plan.threads) as pipeline:
         arriving = pipeline.read_ahead(reads)
-        for rows in plan.strips():
+        for rows, there in zip(plan.strips(), present, strict=True):
             origin = rows.x - plan.canvas.x, rows.y - plan.canvas.y
             accumulator = engine.start(rules, rows.width, rows.height, origin=origin)
-            for group in groups:
-                arrived = [next(arriving) for _ in group]
+            for group in _grouped(arrival, there, at_once):
+                arrived = [next(arriving) if number in there else NOTHING for number in group]
                 pipeline.composite(partial(accumulator.add, group, arrived))
                 if not observer.sees_layers:
                     arrived = []  # not to be held while the next ones arrive
-            strips_up = arrived if groups[0][0] == 0 else arrived[::-1]
+            strips_up = arrived if arrival[0] == 0 else arrived[::-1]
             prepare = partial(finishing.prepare, accumulator, strips_up, rows)
             pipeline.write_behind(prepare, finishing.write)
             del accumulator, arrived, strips_up, prepare
@@ -74,9 +76,30 @@ def composite_strips(plan: StackPlan, writer: ImageWriter, observer: Observer) -
     return finishing.losses
 
 
-def _grouped(numbers: Sequence[int], size: int) -> Iterator[Sequence[int]]:
-    for begin in range(0, len(numbers), size):
-        yield numbers[begin : begin + size]
+def _layers_by_strip(plan: StackPlan) -> list[set[int]]:
+    """Of each strip the numbers of the layers that have pixels in it."""
+    strips = list(plan.strips())
+    tops, bottoms = [rows.y for rows in strips], [rows.bottom for rows in strips]
+    present: list[set[int]] = [set() for _ in strips]
+    for number, layer in enumerate(plan.layers):
+        common = layer.window.intersection(plan.window)
+        if common is not None:
+            first, end = bisect_right(bottoms, common.y), bisect_left(tops, common.bottom)
+            for there in present[first:end]:
+                there.add(number)
+    return present
+
+
+def _grouped(numbers: Sequence[int], there: set[int], size: int) -> Iterator[Sequence[int]]:
+    """Runs of the numbers, each with `size` of those that are there, and others between them."""
+    begin, count = 0, 0
+    for end, number in enumerate(numbers):
+        if number in there:
+            if count == size:
+                yield numbers[begin:end]
+                begin, count = end, 0
+            count += 1
+    yield numbers[begin:]
 
 
 class _Finishing:
