@@ -41,12 +41,13 @@ struct Block {
     int n;                  // pixels
     int layers;             // the place of the background, too
     const int *numbers;     // (layers + 1): of the terms among all layers; after these the background's
+    const int *places;      // of such a number among what is measured
     float *p, *size;        // (layers + 1, 2, kBlock) and (layers + 1, kBlock): terms and |t|
     float *near;            // (layers + 1, kBlock): whose hue is the result's
     int *active, actives;   // the terms that are anything here
     bool small;             // whether no sum of sizes is more than `kSmallAddend`
     const float *luminance, *total, *alpha;
-    Cell *cells;            // (layers + 1, cell_columns): from that of the first pixel on
+    Cell *cells;            // (places, cell_columns): from that of the first pixel on
     int cell_columns, cell_left;  // how far inside of its cell that pixel is
 
     const float *x(int k) const { return p + int64_t(k) * 2 * kBlock; }
@@ -141,12 +142,12 @@ void add_terms(const Block &block, ContributorSums *sums) {
         const int k = block.active[a];
         ConstRow size = block.size + k * kBlock;
         for (int i = 0; i < n; ++i) mask[i] = size[i] > half_step;
-        const int number = block.numbers[k];
-        Cell *const cells = block.cells + int64_t(number) * block.cell_columns;
-        sums[number].pixels += count_in_cells(block, contributes, [=](int cell, int pixels) {
+        const int place = block.places[block.numbers[k]];
+        Cell *const cells = block.cells + int64_t(place) * block.cell_columns;
+        sums[place].pixels += count_in_cells(block, contributes, [=](int cell, int pixels) {
             cells[cell].pixels = uint16_t(cells[cell].pixels + pixels);
         });
-        sums[number].chroma += sum_of(size, n, block.small);
+        sums[place].chroma += sum_of(size, n, block.small);
     }
 }
 
@@ -193,12 +194,12 @@ void measure_result(const Block &block, int which, ConstRow p0, ConstRow p1, con
             mask[i] = (size[i] > half_step) & (chromatic[i] * near[i] != 0);
             values[i] = size[i] * (near[i] != 0 ? of_near[i] : of_others[i]);
         }
-        const int number = block.numbers[k];
-        Cell *const cells = block.cells + int64_t(number) * block.cell_columns;
-        contributors[number].survived += count_in_cells(block, survives, [=](int cell, int) {
+        const int place = block.places[block.numbers[k]];
+        Cell *const cells = block.cells + int64_t(place) * block.cell_columns;
+        contributors[place].survived += count_in_cells(block, survives, [=](int cell, int) {
             cells[cell].shown = uint16_t(cells[cell].shown | 1u << which);
         });
-        contributors[number].kept += sum_of(values, n, block.small);
+        contributors[place].kept += sum_of(values, n, block.small);
     }
 }
 
@@ -360,7 +361,7 @@ struct Scratch {
 
     // From term `first` on.
     explicit Scratch(const Measurer &of, int first = 0) {
-        const int64_t row = int64_t(of.most + 1) * kBlock, skipped = int64_t(first) * kBlock;
+        const int64_t row = int64_t(of.count + 1) * kBlock, skipped = int64_t(first) * kBlock;
         p = of.scratch + 2 * skipped;
         luminance = of.scratch + 2 * row + skipped;
         alpha = luminance + row, f_a = alpha + row, f_b = f_a + row, size = f_b + row, near = size + row;
@@ -380,7 +381,7 @@ void observe_term(void *self, int number, int n, const float *red, const float *
                   const float *alpha, const float *luminance, const float *p0, const float *p1) {
     Measurer &of = *static_cast<Measurer *>(self);
     const int turn = of.terms++;
-    const Scratch scratch(of, of.rules->order == Order::kFrontToBack ? of.most - 1 - turn : turn);
+    const Scratch scratch(of, of.rules->order == Order::kFrontToBack ? of.count - 1 - turn : turn);
     float *x = scratch.p, *y = x + kBlock, *to = scratch.luminance;
     *scratch.numbers = number;
     std::memcpy(scratch.alpha, alpha, n * sizeof(float));
@@ -391,7 +392,7 @@ void observe_term(void *self, int number, int n, const float *red, const float *
         std::memset(to, 0, sizeof(Plane));
     }
     if (nothing) return;
-    const Hues hues = hues_of(of, number);
+    const Hues hues = hues_of(of, of.places[number]);
     hues.others->transparent -= n;
     Plane chroma;
     ConstRow px = p0, py = p1;
@@ -406,10 +407,10 @@ void observe_term(void *self, int number, int n, const float *red, const float *
 void observe_block(void *self, int column, int row, int n) {
     Measurer &of = *static_cast<Measurer *>(self);
     const Rules &rules = *of.rules;
-    const int all = of.count, count = of.terms;
-    const Scratch scratch(of, rules.order == Order::kFrontToBack ? of.most - count : 0);
+    const int measured = of.count, count = of.terms;
+    const Scratch scratch(of, rules.order == Order::kFrontToBack ? measured - count : 0);
     of.terms = 0;
-    scratch.numbers[count] = all;
+    scratch.numbers[count] = of.all;
     float *p = scratch.p, *luminance = scratch.luminance;
     Plane alpha, sum, total;
     for (int k = 0; k < count; ++k)
@@ -439,8 +440,8 @@ void observe_block(void *self, int column, int row, int n) {
     }
     const Cells &cells = of.found->cells;
     const int x = cells.left + column, y = cells.top + of.top + row;
-    Cell *const first_cell = cells.first + int64_t(y / kCell) * (all + 1) * cells.columns + x / kCell;
-    Block block{rules, *of.measures, of.layers, n, count, scratch.numbers, p, scratch.size, scratch.near, scratch.active,
+    Cell *const first_cell = cells.first + int64_t(y / kCell) * (measured + 1) * cells.columns + x / kCell;
+    Block block{rules, *of.measures, of.layers, n, count, scratch.numbers, of.places, p, scratch.size, scratch.near, scratch.active,
                 0, false, sum, total, alpha, first_cell, cells.columns, x % kCell};
     if (!find_active(block, luminance, total)) {
         of.found->unmeasured += take_out_unknown(count + 1, n, p, luminance, sum, alpha);
@@ -448,14 +449,14 @@ void observe_block(void *self, int column, int row, int n) {
         find_active(block, luminance, total);
     }
 
-    add_terms(block, of.found->contributors + int64_t(kBothResults) * (all + 1));
+    add_terms(block, of.found->contributors + int64_t(kBothResults) * (measured + 1));
     Plane p0, p1, chromatic;
     Support support;
     const auto measure_as = [&](int which) {
         support_of(block, p0, p1, &support);
         measure_result(block, which, p0, p1, support, of.found->results + which,
-                       of.found->contributors + int64_t(which) * (all + 1),
-                       hues_of(of, all + which), chromatic);
+                       of.found->contributors + int64_t(which) * (measured + 1),
+                       hues_of(of, measured + which), chromatic);
     };
     for (int i = 0; i < n; ++i) p0[i] = p1[i] = 0;
     for (int a = 0; a < block.actives; ++a) {

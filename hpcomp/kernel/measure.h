@@ -37,7 +37,7 @@ struct Cell {
     uint16_t pixels, shown;
 };
 struct Cells {
-    Cell *first;    // (rows, layers + 1, columns)
+    Cell *first;    // (rows, layers there + 1, columns)
     int columns;    // that the strip touches
     int left, top;  // where in its cell the strip's first pixel is
 };
@@ -51,7 +51,8 @@ struct Provenance {
 // Which result: those of pixels in which both are the same are counted once, and added afterwards.
 enum Result { kAsBlended, kTraditional, kBothResults, kResults };
 
-// Everything is added to what is there, but for the provenance, which is set.
+// Everything is added to what is there, but for the provenance, which is set. `layers` are those that are there in
+// the strip, bottom first, and after them comes the background.
 struct Measures {
     int64_t unmeasured, order_sensitive;
     ResultSums *results;            // (kResults)
@@ -72,7 +73,8 @@ struct Measurer {
     const Rules *rules;
     const MeasureRules *measures;
     const Layer *layers;  // of all numbers
-    int count, most;      // layers; and those of them that have pixels in the strip
+    const int *places;    // of all numbers among those that are there in the strip, and of the background
+    int all, count;       // layers of the stack, and those of them
     int width, top;       // of the strip; the row of it where the rows begin that are composited
     int terms;            // of the layers that have come in this block
     float *scratch;       // `measure_floats`, zeros before the first block

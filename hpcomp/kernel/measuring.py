@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+from ..color.samples import NOTHING
 from ..measures.histogram import HueHistogram
 from ..measures.labels import (
     Angle,
@@ -13,12 +16,20 @@ from ..measures.labels import (
 from ..measures.summary import StackSummary, StripToMeasure
 from . import _kernel
 
+#: Of a layer that is not there.
+_NOTHING_FOUND = ContributorMeasures(pixels=0, survived=0, visible=0, chroma=0, kept=0)
+
 
 class StripMeasures:
     """What the loops add to, `sums`, of one strip, and the summary that it makes."""
 
     def __init__(self, strip: StripToMeasure) -> None:
         self._strip = strip
+        self._there = [
+            number
+            for number, layer in enumerate(strip.strips)
+            if layer is not NOTHING or number in strip.rules.needed_everywhere
+        ]
         self._provenance, planes = None, None
         if strip.with_provenance:
             self._provenance = made = Provenance.none((strip.height, strip.width))
@@ -26,7 +37,7 @@ class StripMeasures:
         settings = strip.settings
         tolerance = Angle.of(settings.foreign_tolerance)
         self.sums = _kernel.measures(
-            layers=len(strip.strips),
+            layers=len(self._there),
             width=strip.width,
             height=strip.height,
             left=strip.origin[0],
@@ -45,20 +56,38 @@ class StripMeasures:
         strip, sums = self._strip, self.sums
         measures = StackMeasures(
             strip.settings,
-            result=_result_measures(sums.result),
-            traditional=_result_measures(sums.traditional),
+            result=self._result_measures(sums.result),
+            traditional=self._result_measures(sums.traditional),
             pixels=strip.width * strip.height,
             unmeasured=sums.unmeasured,
             order_sensitive=sums.order_sensitive,
         )
-        layers = range(len(strip.strips))
+        space, achromatic = strip.rules.space.name, strip.settings.achromatic
+        empty = HueHistogram.empty(strip.bins, space, achromatic)
+        histograms = [replace(empty, transparent=strip.width * strip.height)] * len(strip.strips)
+        for place, number in enumerate(self._there):
+            histograms[number] = self._histogram(sums.layer_hues(number=place))
         summary = StackSummary(
             measures,
-            layers=tuple(self._histogram(sums.layer_hues(number=number)) for number in layers),
+            layers=tuple(histograms),
             result=self._histogram(sums.result_hues),
             traditional=self._histogram(sums.traditional_hues),
         )
         return summary, self._provenance
+
+    def _result_measures(self, sums: _kernel.ResultSums) -> ResultMeasures:
+        layers = [_NOTHING_FOUND] * len(self._strip.strips)
+        for number, found in zip(self._there, sums.layers, strict=True):
+            layers[number] = _contributor(found)
+        return ResultMeasures(
+            layers=tuple(layers),
+            background=_contributor(sums.background),
+            chromatic=sums.chromatic,
+            chroma=sums.chroma,
+            foreign=sums.foreign,
+            foreign_chroma=sums.foreign_chroma,
+            light=sums.light,
+        )
 
     def _histogram(self, hues: _kernel.HueSums) -> HueHistogram:
         return HueHistogram(
@@ -72,18 +101,6 @@ class StripMeasures:
             transparent=hues.transparent,
             nonfinite=hues.nonfinite,
         )
-
-
-def _result_measures(sums: _kernel.ResultSums) -> ResultMeasures:
-    return ResultMeasures(
-        layers=tuple(_contributor(layer) for layer in sums.layers),
-        background=_contributor(sums.background),
-        chromatic=sums.chromatic,
-        chroma=sums.chroma,
-        foreign=sums.foreign,
-        foreign_chroma=sums.foreign_chroma,
-        light=sums.light,
-    )
 
 
 def _contributor(sums: _kernel.ContributorSums) -> ContributorMeasures:

@@ -588,7 +588,7 @@ class Accumulator {
         if (!waits_) throw nb::value_error("layers are measured when all come at once");
         if (rules_->rules.bounded || rules_->rules.strength != Strength::kChroma)
             throw nb::value_error("linear spaces and the chroma in them alone are measured");
-        if (measures->layers != come_ || measures->width != width_ || measures->height != height_)
+        if (measures->layers != int64_t(held_.numbers.size()) || measures->width != width_ || measures->height != height_)
             throw nb::value_error("measures of another strip");
     }
 
@@ -630,15 +630,19 @@ class Accumulator {
         std::vector<float> scratch(folds() ? 0 : size_t(scratch_floats(rules.order, n, rules.layers)));
         std::vector<float> measuring;
         std::vector<Layer> by_number;
+        std::vector<int> places;
         Measurer measurer{};
         if (measures) {
             measuring.resize(size_t(measure_floats(rules.order, n, rules.layers)));
             by_number.resize(size_t(rules.layers));
-            for (size_t k = 0; k < layers.size(); ++k) by_number[size_t(numbers[k])] = layers[k];
+            places.assign(size_t(rules.layers) + 1, n);
+            for (size_t k = 0; k < layers.size(); ++k) {
+                by_number[size_t(numbers[k])] = layers[k];
+                places[size_t(numbers[k])] = rules.order == Order::kFrontToBack ? n - 1 - int(k) : int(k);
+            }
             // Until its pixels come, a layer is transparent.
-            for (int k = 0; k < rules.layers; ++k)
-                measures->found.others[k].transparent += int64_t(width_) * height_;
-            measurer = {&rules, &measures->rules, by_number.data(), rules.layers, n, width_, 0, 0,
+            for (int k = 0; k < n; ++k) measures->found.others[k].transparent += int64_t(width_) * height_;
+            measurer = {&rules, &measures->rules, by_number.data(), places.data(), rules.layers, n, width_, 0, 0,
                         measuring.data(), &measures->found};
         }
         const Observer watching{&measurer, level_.measuring->term, level_.measuring->block};
