@@ -1,6 +1,11 @@
 #include "packing.h"
 
 #include <cstring>
+#include <type_traits>
+
+#ifdef __SSE2__
+#include <emmintrin.h>
+#endif
 
 #ifndef HPCOMP_LEVEL
 #error "compile with -DHPCOMP_LEVEL=<name of this instruction set's packing>"
@@ -119,7 +124,93 @@ void pack(const uint16_t *samples, int channels, int units, int64_t width, int64
 
 enum Filter : uint8_t { kNone, kSub, kUp, kAverage, kPaeth };
 
-inline int distance(int a, int b) { return a < b ? b - a : a - b; }
+// The bytes of a pixel, eight at most, in lanes of 16 bits whose upper bytes are 0.
+typedef int16_t Lanes __attribute__((vector_size(16)));
+typedef uint8_t LaneBytes __attribute__((vector_size(16)));
+typedef uint8_t HalfBytes __attribute__((vector_size(8)));
+
+// To lanes and back by intrinsics where there are any: of half a register compilers make several.
+template <int Count>
+inline Lanes lanes_of(const uint8_t *bytes) {
+#ifdef __SSE2__
+    std::conditional_t<Count <= 4, uint32_t, uint64_t> word = 0;
+    std::memcpy(&word, bytes, Count);
+    const __m128i packed = Count <= 4 ? _mm_cvtsi32_si128(int(word))
+                                      : _mm_loadl_epi64(reinterpret_cast<const __m128i *>(&word));
+    return Lanes(_mm_unpacklo_epi8(packed, _mm_setzero_si128()));
+#else
+    HalfBytes packed = {};
+    std::memcpy(&packed, bytes, Count);
+    return __builtin_convertvector(packed, Lanes);
+#endif
+}
+
+template <int Count>
+inline void store(Lanes lanes, uint8_t *bytes) {
+#ifdef __SSE2__
+    const __m128i packed = _mm_packus_epi16(__m128i(lanes), __m128i(lanes));
+#else
+    const HalfBytes packed = __builtin_convertvector(lanes, HalfBytes);
+#endif
+    std::memcpy(bytes, &packed, Count);
+}
+
+// Sums modulo 256: of bytes, so that nothing is carried into the upper ones.
+inline Lanes sum(Lanes a, Lanes b) { return Lanes(LaneBytes(a) + LaneBytes(b)); }
+
+inline Lanes smaller(Lanes a, Lanes b) { return a < b ? a : b; }
+inline Lanes larger(Lanes a, Lanes b) { return a > b ? a : b; }
+
+struct Sub {
+    static Lanes pixel(Lanes filtered, Lanes left, Lanes, Lanes) { return sum(filtered, left); }
+};
+
+struct Average {
+    static Lanes pixel(Lanes filtered, Lanes left, Lanes up, Lanes) {
+        return sum(filtered, (left + up) >> 1);
+    }
+};
+
+// Of left, up and corner the one nearest to left + up - corner, of equal ones the first. That is the
+// smaller of left and up where the corner is so large that 3 * corner - left - up is no smaller than
+// the larger one, the larger one in the opposite case, and else the corner. What waits for the pixel
+// on the left sets the pace, so the filtered byte is added before the choice.
+struct Paeth {
+    static Lanes pixel(Lanes filtered, Lanes left, Lanes up, Lanes corner) {
+        const Lanes opposite = corner + (corner + corner) - up - left;
+        const Lanes low = smaller(left, up), high = larger(left, up);
+        const Lanes of_low = sum(filtered, low), of_high = sum(filtered, high);
+        const Lanes of_corner = sum(filtered, corner);
+        const Lanes not_high = high <= opposite ? of_low : of_corner;
+        return opposite <= low ? of_high : not_high;
+    }
+};
+
+// Those of the next pixel; nothing is on the left of a row.
+struct Neighbours {
+    Lanes left = {}, corner = {};
+};
+
+// A pixel, as so many bytes.
+template <class Filter, int Count>
+inline void unfilter_pixel(const uint8_t *filtered, const uint8_t *above, uint8_t *out, Neighbours &of) {
+    const Lanes up = lanes_of<Count>(above);
+    of.left = Filter::pixel(lanes_of<Count>(filtered), of.left, up, of.corner);
+    of.corner = up;
+    store<Count>(of.left, out);
+}
+
+template <class Filter, int Bytes>
+void unfilter_row(const uint8_t *filtered, int64_t row_bytes, const uint8_t *above, uint8_t *out) {
+    // Registers take 4 or 8 bytes at once: what is written behind a pixel is overwritten by the next.
+    constexpr int kWide = Bytes <= 4 ? 4 : 8;
+    Neighbours of;
+    int64_t i = 0;
+    for (; i + kWide <= row_bytes; i += Bytes)
+        unfilter_pixel<Filter, kWide>(filtered + i, above + i, out + i, of);
+    for (; i < row_bytes; i += Bytes)
+        unfilter_pixel<Filter, Bytes>(filtered + i, above + i, out + i, of);
+}
 
 // Rows whose pixels have so many bytes.
 template <int Bytes>
@@ -132,36 +223,9 @@ bool unfilter_pixels(const uint8_t *filtered, int64_t rows, int64_t row_bytes, c
         case kUp:
             for (int64_t i = 0; i < row_bytes; ++i) out[i] = uint8_t(filtered[i] + above[i]);
             break;
-        case kSub: {
-            uint8_t left[Bytes] = {};
-            for (int64_t i = 0; i < row_bytes; i += Bytes)
-                for (int b = 0; b < Bytes; ++b)
-                    out[i + b] = left[b] = uint8_t(filtered[i + b] + left[b]);
-            break;
-        }
-        case kAverage: {
-            uint8_t left[Bytes] = {};
-            for (int64_t i = 0; i < row_bytes; i += Bytes)
-                for (int b = 0; b < Bytes; ++b)
-                    out[i + b] = left[b] = uint8_t(filtered[i + b] + ((left[b] + above[i + b]) >> 1));
-            break;
-        }
-        case kPaeth: {
-            int left[Bytes] = {}, corner[Bytes] = {};
-            for (int64_t i = 0; i < row_bytes; i += Bytes) {
-                for (int b = 0; b < Bytes; ++b) {
-                    const int up = above[i + b];
-                    const int to_left = distance(up, corner[b]), to_up = distance(left[b], corner[b]);
-                    const int to_corner = distance(left[b] + up, 2 * corner[b]);
-                    const int vertical = to_up <= to_corner ? up : corner[b];
-                    const bool is_left = (to_left <= to_up) & (to_left <= to_corner);
-                    left[b] = (filtered[i + b] + (is_left ? left[b] : vertical)) & 0xff;
-                    corner[b] = up;
-                    out[i + b] = uint8_t(left[b]);
-                }
-            }
-            break;
-        }
+        case kSub: unfilter_row<Sub, Bytes>(filtered, row_bytes, above, out); break;
+        case kAverage: unfilter_row<Average, Bytes>(filtered, row_bytes, above, out); break;
+        case kPaeth: unfilter_row<Paeth, Bytes>(filtered, row_bytes, above, out); break;
         default: return false;
         }
         filtered += row_bytes;
