@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..color import spaces
-from ..color.primaries import Matrix
+from ..color.matrices import Matrix
 from ..color.uniformspaces import OklabCoefficients, oklab_chroma
 from ..errors import unknown_name
 

@@ -1,6 +1,7 @@
 """Which light red, green and blue stand for: chromaticities, and matrices between primaries.
 
-The only importer of colour-science. Knows no transfer curves, no pixels, no files.
+The only importer of colour-science, for what `matrices` does not have. Knows no transfer curves, no
+pixels, no files.
 """
 
 from __future__ import annotations
@@ -16,16 +17,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import unknown_name
+from .matrices import D65_TO_D50, RGB_TO_XYZ, Matrix, inverted, product
 
 Array = NDArray[np.floating[Any]]
 Float64 = NDArray[np.float64]
 Chromaticity = tuple[float, float]
-#: Three rows of three numbers, hashable.
-Matrix = tuple[tuple[float, ...], ...]
+XYZ = tuple[float, float, float]
 
 #: CIE 1931 xy of the white points. ITU-R BT.709-6; SMPTE ST 2065-1 for the ACES white.
 D65: Chromaticity = (0.3127, 0.3290)
 ACES_WHITE: Chromaticity = (0.32168, 0.33767)
+#: XYZ of the white of ICC's connection space; ICC.1:2022, 7.2.16.
+D50_XYZ: XYZ = (0.9642, 1.0, 0.8249)
 
 #: Files store chromaticities in 5 digits, and D65 in several roundings of its own: closer than this
 #: changes no colour by half an 8-bit step.
@@ -89,6 +92,12 @@ REC709_TO_XYZ: Matrix = (
 )
 
 
+_KNOWN_TO_XYZ: dict[Primaries, Matrix] = {
+    REC709: REC709_TO_XYZ,
+    **{PRIMARIES[name]: matrix for name, matrix in RGB_TO_XYZ.items()},
+}
+
+
 def working_primaries(name: str) -> Primaries:
     """The working primaries of that name; `SettingError` lists the valid ones."""
     if name not in WORKING_PRIMARIES:
@@ -127,10 +136,10 @@ def _colour() -> Iterator[Any]:
         yield colour
 
 
-def _xyz(xy: Chromaticity) -> Float64:
+def white_xyz(xy: Chromaticity) -> XYZ:
     """XYZ of a chromaticity at Y = 1."""
     x, y = xy
-    return np.array([x / y, 1.0, (1 - x - y) / y])
+    return x / y, 1.0, (1 - x - y) / y
 
 
 @cache
@@ -141,10 +150,8 @@ def conversion(source: Primaries, target: Primaries) -> Float64 | None:
     """
     if source == target:
         return None
-    with _colour() as colour:
-        spaces = (colour.RGB_Colourspace(p.name, p.xy[:3], p.xy[3]) for p in (source, target))
-        matrix = colour.matrix_RGB_to_RGB(*spaces, "Bradford")
-    return np.asarray(matrix, float)
+    # Both by way of D65: what Bradford does on the way to a white it undoes on the way back.
+    return np.array(product(inverted(to_xyz(target)), to_xyz(source)))
 
 
 @cache
@@ -153,13 +160,13 @@ def to_xyz(primaries: Primaries) -> Matrix:
 
     The second row has the luminance weights.
     """
-    if primaries == REC709:
-        return REC709_TO_XYZ
+    if primaries in _KNOWN_TO_XYZ:
+        return _KNOWN_TO_XYZ[primaries]
     with _colour() as colour:
         space = colour.RGB_Colourspace(primaries.name, primaries.xy[:3], primaries.xy[3])
         matrix = np.asarray(space.matrix_RGB_to_XYZ, float)
     if primaries.white != D65:
-        matrix = adaptation(_xyz(primaries.white), _xyz(D65)) @ matrix
+        matrix = adaptation(white_xyz(primaries.white), white_xyz(D65)) @ matrix
     return tuple(tuple(map(float, row)) for row in matrix)
 
 
@@ -188,10 +195,20 @@ def conversion_pairs(
     return tuple((float(row[0] / row.sum()), float(row[2] / row.sum())) for row in matrix)
 
 
-def adaptation(white: Array, to_white: Array) -> Float64:
+def adaptation(white: XYZ, to_white: XYZ) -> Float64:
     """(3, 3): XYZ under one white to XYZ under another, by Bradford; the whites as XYZ."""
+    if white == to_white:
+        return np.eye(3)
+    if (white, to_white) in _KNOWN_ADAPTATIONS:
+        return np.array(_KNOWN_ADAPTATIONS[white, to_white])
     with _colour() as colour:
         matrix = colour.adaptation.matrix_chromatic_adaptation_VonKries(
             white, to_white, transform="Bradford"
         )
     return np.asarray(matrix, float)
+
+
+_KNOWN_ADAPTATIONS: dict[tuple[XYZ, XYZ], Matrix] = {
+    (white_xyz(D65), D50_XYZ): D65_TO_D50,
+    (D50_XYZ, white_xyz(D65)): inverted(D65_TO_D50),
+}

@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 
 from ..errors import unknown_name
 from .hueaxis import HEXAGON, HueAxis, angle_axis
+from .matrices import Matrix
 from .planes import ratio, spread_and_size
-from .primaries import D65, REC709_TO_XYZ, Matrix
+from .primaries import D65, REC709_TO_XYZ
 from .uniformspaces import (
     CielabCoefficients,
     OklabCoefficients,

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .hueaxis import HEXAGON
+from .matrices import inverted, product
 from .planes import length
 
 Array = NDArray[np.floating[Any]]
@@ -83,25 +84,6 @@ class CielabCoefficients:
     largest: float = np.inf
 
 
-def _product(a: Matrix, b: Matrix) -> list[list[float]]:
-    return [
-        [sum(x * y for x, y in zip(row, column, strict=True)) for column in zip(*b, strict=True)]
-        for row in a
-    ]
-
-
-def _inverted(m: Matrix) -> list[list[float]]:
-    """The inverse of a 3×3 matrix: in plain numbers, the same on every machine."""
-
-    def minor(row: int, column: int) -> float:
-        r, s = (row + 1) % 3, (row + 2) % 3
-        c, d = (column + 1) % 3, (column + 2) % 3
-        return m[r][c] * m[s][d] - m[r][d] * m[s][c]
-
-    whole = sum(m[0][column] * minor(0, column) for column in range(3))
-    return [[minor(row, column) / whole for row in range(3)] for column in range(3)]
-
-
 def _of_white(m: Matrix) -> list[list[float]]:
     """Rows at the strength at which white, (1, 1, 1), gives 1."""
     return [[value / sum(row) for value in row] for row in m]
@@ -163,7 +145,7 @@ def _bound(gamut: tuple[Array, Array], least_luminance: Callable[[Array], float]
 
 def oklab_coefficients(rgb_to_xyz: Matrix) -> OklabCoefficients:
     """Those of the primaries whose RGB→XYZ this is, D65 being white."""
-    lms = _of_white(_product(XYZ_TO_LMS, rgb_to_xyz))
+    lms = _of_white(product(XYZ_TO_LMS, rgb_to_xyz))
     (l_red, l_blue), *others = _outer(ROOTS_TO_LAB)
     # The digits of the last place, so that greys have no a and b.
     exact = [[l_red, 1 - l_red - l_blue, l_blue]]
@@ -172,8 +154,8 @@ def oklab_coefficients(rgb_to_xyz: Matrix) -> OklabCoefficients:
         weights=_outer(rgb_to_xyz)[1],
         to_lms=_outer(lms),
         to_lab=_outer(exact),
-        to_roots=tuple((row[1], row[2]) for row in _inverted(exact)),
-        from_lms=_outer(_inverted(lms)),
+        to_roots=tuple((row[1], row[2]) for row in inverted(exact)),
+        from_lms=_outer(inverted(lms)),
     )
 
     def least_luminance(q: Array) -> float:
@@ -232,7 +214,7 @@ def cielab_coefficients(rgb_to_xyz: Matrix) -> CielabCoefficients:
     unbounded = CielabCoefficients(
         weights=_outer(rgb_to_xyz)[1],
         to_xz=(xz[0], xz[2]),
-        from_xz=_outer(_inverted(xyz)),
+        from_xz=_outer(inverted(xyz)),
     )
     largest = _bound(cielab_forward(unbounded, HEXAGON.color(_TURN)), lambda q: 1.0)
     return replace(unbounded, largest=largest)

@@ -15,7 +15,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..color.encodings import ColorEncoding
-from ..color.primaries import D65, REC709, Primaries, adaptation, primaries_from_xy, to_xyz
+from ..color.primaries import (
+    D50_XYZ,
+    D65,
+    REC709,
+    XYZ,
+    Primaries,
+    adaptation,
+    primaries_from_xy,
+    to_xyz,
+    white_xyz,
+)
 from ..color.transfer import HDR_TRANSFERS, LINEAR, SRGB, Transfer, gamma, mirrored, of_channels
 
 Array = NDArray[np.floating[Any]]
@@ -28,9 +38,7 @@ _SRGB_COLORANTS = np.array(
 _COLORANT_TOLERANCE = 2e-3
 _CURVE_TOLERANCE = 3e-3
 _CURVE_SAMPLES = np.linspace(0, 1, 65)
-#: XYZ of the connection space's white; ICC.1:2022, 7.2.16.
-_D50 = np.array([0.9642, 1.0, 0.8249])
-_D65 = np.array([D65[0], D65[1], 1 - D65[0] - D65[1]]) / D65[1]
+_D65_XYZ = white_xyz(D65)
 #: A white this near to D50 says nothing of the device.
 _WHITE_TOLERANCE = 5e-3
 #: The classes of profiles that take a device's values to the connection space: of inputs, displays
@@ -68,15 +76,14 @@ def profile(name: str, primaries: Primaries) -> bytes:
 
     Without a date, so that it is the same whenever it is made.
     """
-    white = np.array([primaries.white[0], primaries.white[1], 1 - sum(primaries.white)])
-    chad = adaptation(white / primaries.white[1], _D50)
+    chad = adaptation(white_xyz(primaries.white), D50_XYZ)
     # Its RGB→XYZ is adapted to D65 already: from there to D50.
-    colorants = adaptation(_D65, _D50) @ np.array(to_xyz(primaries))
+    colorants = adaptation(_D65_XYZ, D50_XYZ) @ np.array(to_xyz(primaries))
     curve = b"para" + bytes(4) + struct.pack(">HH", 3, 0) + _fixed(_SRGB_PARAMETERS)
     tags = {
         b"desc": _text(name),
         b"cprt": _text("CC0"),
-        b"wtpt": b"XYZ " + bytes(4) + _fixed(_D50),
+        b"wtpt": b"XYZ " + bytes(4) + _fixed(D50_XYZ),
         b"chad": b"sf32" + bytes(4) + _fixed(chad.ravel()),
         **{
             bytes([letter]) + b"XYZ": b"XYZ " + bytes(4) + _fixed(colorants[:, i])
@@ -93,7 +100,7 @@ def profile(name: str, primaries: Primaries) -> bytes:
         directory += tag + struct.pack(">II", places[content], len(content))
     size = 128 + len(directory) + len(data)
     header = struct.pack(">I4xI", size, 0x04300000) + b"mntrRGB XYZ " + bytes(12) + b"acsp"
-    return (header + bytes(28) + _fixed(_D50)).ljust(128, b"\0") + directory + data
+    return (header + bytes(28) + _fixed(D50_XYZ)).ljust(128, b"\0") + directory + data
 
 
 #: g, a, b, c and d of the curve of sRGB; IEC 61966-2-1:1999.
@@ -168,17 +175,24 @@ def _primaries(tags: dict[bytes, bytes]) -> Primaries:
         return _primaries_of(colorants, from_d50)
     # Without it Bradford's is usual, and the white may be told (version 2) or be D65 all the same.
     # Which it is changes the name of the primaries, not what becomes of colours.
-    white = _numbers(tags[b"wtpt"], 3, 8) if b"wtpt" in tags else _D50
-    if np.abs(white - _D50).max() <= _WHITE_TOLERANCE:
-        white = _D50
-    candidates = [_primaries_of(colorants, adaptation(_D50, xyz)) for xyz in (white, _D65)]
-    return next(
-        (primaries for primaries in candidates if primaries.name != "custom"), candidates[0]
-    )
+    white = _white(tags)
+    known = _primaries_under(colorants, _D65_XYZ)
+    return known if known.name != "custom" else _primaries_under(colorants, white)
+
+
+def _white(tags: dict[bytes, bytes]) -> XYZ:
+    """The white that the profile tells, or D50."""
+    x, y, z = _numbers(tags[b"wtpt"], 3, 8).tolist() if b"wtpt" in tags else D50_XYZ
+    told = np.abs(np.subtract((x, y, z), D50_XYZ)).max() > _WHITE_TOLERANCE
+    return (x, y, z) if told else D50_XYZ
+
+
+def _primaries_under(colorants: Array, white: XYZ) -> Primaries:
+    return _primaries_of(colorants, adaptation(D50_XYZ, white))
 
 
 def _primaries_of(colorants: Array, from_d50: Array) -> Primaries:
-    xyz = np.concatenate([colorants, _D50[None]]) @ from_d50.T
+    xyz = np.concatenate([colorants, [D50_XYZ]]) @ from_d50.T
     with np.errstate(all="ignore"):
         return primaries_from_xy(xyz[:, :2] / xyz.sum(axis=1, keepdims=True))
 

@@ -1084,9 +1084,13 @@ def test_stack_loads_what_it_needs(desk, ending):
     assert loaded & HEAVY == {"numpy", "OpenImageIO"}
 
 
-def test_other_primaries_load_colour(desk):
+def test_new_chromaticities_alone_load_colour(desk):
     exrfile.write(desk / "wide.exr", planes(), chromaticities=exrfile.PRIMARIES["rec2020"])
-    assert "colour" in modules(desk, "stack", "wide.exr", "-o", "out.exr")
+    known = ("stack", "wide.exr", "-o", "out.exr", "--primaries", "acescg")
+    assert modules(desk, *known) & HEAVY == {"numpy", "OpenImageIO"}
+    new = (0.66, 0.31, 0.25, 0.64, 0.14, 0.05, 0.30, 0.32)
+    exrfile.write(desk / "new.exr", planes(), chromaticities=new)
+    assert "colour" in modules(desk, "stack", "new.exr", "-o", "out.exr")
 
 
 def test_importing_the_package_loads_nothing():

@@ -24,13 +24,18 @@ from engines import composite_by
 import hpcomp
 from hpcomp import HpcompWarning, MismatchError, SettingError
 from hpcomp.color import spaces
+from hpcomp.color.matrices import RGB_TO_XYZ
 from hpcomp.color.primaries import (
+    D50_XYZ,
+    D65,
     PRIMARIES,
     REC709_WEIGHTS,
     WORKING_PRIMARIES,
     Primaries,
+    adaptation,
     conversion,
     to_xyz,
+    white_xyz,
 )
 from hpcomp.color.quantization import Losses
 from hpcomp.color.samples import Strip, encode
@@ -120,6 +125,49 @@ def test_rgb_to_xyz(name):
     assert np.abs(found - expected).max() < 1e-12
 
 
+def colour_space(primaries):
+    return colour.RGB_Colourspace(primaries.name, primaries.xy[:3], primaries.xy[3])
+
+
+def colour_bradford(white, to_white):
+    return colour.adaptation.matrix_chromatic_adaptation_VonKries(
+        white, to_white, transform="Bradford"
+    )
+
+
+@pytest.mark.parametrize("name", RGB_TO_XYZ)
+def test_a_constant_is_what_colour_science_computes(name):
+    primaries = PRIMARIES[name]
+    bradford = colour_bradford(white_xyz(primaries.white), white_xyz(D65))
+    expected = bradford @ colour_space(primaries).matrix_RGB_to_XYZ
+    assert np.abs(np.array(to_xyz(primaries)) - expected).max() < 1e-12
+
+
+@pytest.mark.parametrize(("source", "target"), list(itertools.permutations(PRIMARIES, 2)))
+def test_a_conversion_is_that_of_colour_science(source, target):
+    source, target = PRIMARIES[source], PRIMARIES[target]
+    expected = colour.matrix_RGB_to_RGB(colour_space(source), colour_space(target), "Bradford")
+    assert np.abs(conversion(source, target) - expected).max() < 1e-12
+
+
+@pytest.mark.parametrize("named", PRIMARIES)
+def test_a_conversion_of_new_primaries_is_that_of_colour_science(named):
+    known, new = (colour_space(primaries) for primaries in (PRIMARIES[named], ODD))
+    found = conversion(PRIMARIES[named], ODD)
+    assert np.abs(found - colour.matrix_RGB_to_RGB(known, new, "Bradford")).max() < 1e-12
+    found = conversion(ODD, PRIMARIES[named])
+    assert np.abs(found - colour.matrix_RGB_to_RGB(new, known, "Bradford")).max() < 1e-12
+
+
+@pytest.mark.parametrize(
+    ("white", "to_white"),
+    list(itertools.product([D50_XYZ, white_xyz(D65), (0.98, 1, 1.18)], repeat=2)),
+)
+def test_an_adaptation_is_that_of_colour_science(white, to_white):
+    expected = colour_bradford(white, to_white)
+    assert np.abs(adaptation(white, to_white) - expected).max() < 1e-12
+
+
 @pytest.mark.parametrize(("source", "target"), list(itertools.permutations(NAMES, 2)))
 def test_conversions(source, target):
     found = conversion(PRIMARIES[source], PRIMARIES[target])
@@ -146,18 +194,24 @@ def test_the_same_primaries_are_no_conversion():
     assert np.abs(conversion(ODD, same) - np.eye(3)).max() < 1e-12
 
 
-def test_colour_is_not_imported_for_rec709(tmp_path):
-    write(tmp_path / "a.exr", layers_of(1)[0])
-    profile = pngfile.iccp(pngfile.icc_profile("sRGB"))
-    png = pngfile.random_png(pngfile.RGBA, 8, width=7, height=9).with_chunks(head=[profile])
-    (tmp_path / "b.png").write_bytes(png.encode())
+def test_colour_science_is_imported_for_new_chromaticities_alone(tmp_path):
+    write(tmp_path / "a.exr", layers_of(1)[0], **tagged("rec2020"))
+    write(tmp_path / "new.exr", layers_of(1)[0], chromaticities=tuple(ODD.xy.ravel().tolist()))
+    for name, version in (("rec709", 4), ("display-p3", 4), ("adobe-rgb", 2)):
+        png = pngfile.random_png(pngfile.RGBA, 8, width=7, height=9)
+        profile = pngfile.icc_profile(name, PRIMARIES[name].rgb, version=version)
+        png = png.with_chunks(head=[pngfile.iccp(profile)])
+        (tmp_path / f"{name}.png").write_bytes(png.encode())
     code = (
-        "import sys, hpcomp; "
-        "hpcomp.stack(['a.exr', 'b.png::tint=#fff' if 0 else 'b.png'], 'out.png',"
-        " background='#123456', report='out.json'); "
-        "assert 'colour' not in sys.modules; "
-        "hpcomp.stack(['a.exr'], 'out.exr', primaries='display-p3'); "
-        "assert 'colour' in sys.modules"
+        "import sys, hpcomp\n"
+        "layers = ['a.exr', 'rec709.png', 'display-p3.png', 'adobe-rgb.png']\n"
+        f"for name in {(*WORKING_PRIMARIES, 'bottom')}:\n"
+        "    hpcomp.stack(layers, 'out.exr', primaries=name, report='out.json')\n"
+        "    for gamut in ('rec709', 'display-p3', 'rec2020'):\n"
+        "        hpcomp.stack(layers, 'out.png', primaries=name, out_primaries=gamut)\n"
+        "assert 'colour' not in sys.modules\n"
+        "hpcomp.stack([*layers, 'new.exr'], 'out.exr')\n"
+        "assert 'colour' in sys.modules\n"
     )
     subprocess.run([sys.executable, "-W", "ignore", "-c", code], check=True, cwd=tmp_path)
 
