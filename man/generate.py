@@ -24,7 +24,7 @@ import click
 
 import hpcomp
 from hpcomp.blending.porter_duff import OPERATORS, Operator
-from hpcomp.cli import cli
+from hpcomp.cli.group import cli
 from hpcomp.cli.options import shown_names
 from hpcomp.color.encodings import COLOR_INTEROP_IDS, COLOR_SPACES
 from hpcomp.errors import EXIT_CODE_MEANINGS

@@ -11,7 +11,8 @@ import click
 
 from ..errors import ExitCode, HpcompError
 from .messages import say
-from .options import Command, at_a_time, is_quiet, message_options, print_data
+from .options import Command, at_a_time, is_quiet, message_options
+from .printing import print_data
 from .progress import Progress
 from .signals import load
 from .stackoptions import make_options, stack_options

@@ -12,7 +12,8 @@ from ..errors import ExitCode, SettingError
 from ..system.depfile import Depfile
 from ..system.streams import STDOUT
 from .messages import say
-from .options import LayerCommand, OptionOfOlderName, format_option, message_options, print_data
+from .options import LayerCommand, OptionOfOlderName, format_option, message_options
+from .printing import print_data
 from .signals import load
 from .stackoptions import NEAR_A_LAYER, depfile_options, other_options, stack_options
 from .words import Layer

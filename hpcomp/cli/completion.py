@@ -16,7 +16,8 @@ from click.shell_completion import (
     split_arg_string,
 )
 
-from .options import STDIN_MARK, Command, print_data
+from .options import STDIN_MARK, Command
+from .printing import print_data
 from .words import Choice
 
 # The scripts hand over the line up to the cursor: bash parts words at : and =, which LAYERs have.
@@ -182,6 +183,6 @@ def command(shell: str) -> None:
     reads, and behind the :: of a LAYER its keys and their values, with the parts and layers that
     the file has. Hidden files are shown where a name begins with a dot.
     """
-    from . import COMPLETING, cli
+    from .group import COMPLETING, cli
 
     print_data(SHELLS[shell](cli, {}, "hpcomp", COMPLETING).source())

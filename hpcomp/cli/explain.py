@@ -7,7 +7,8 @@ from typing import Any
 
 import click
 
-from .options import LayerCommand, format_option, message_options, print_data
+from .options import LayerCommand, format_option, message_options
+from .printing import print_data
 from .signals import load
 from .stackoptions import NEAR_A_LAYER, other_options, stack_options
 from .words import Layer

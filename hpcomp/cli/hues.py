@@ -17,7 +17,8 @@ from ..system.outputs import write_bytes
 from ..system.streams import STDOUT
 from . import terminal
 from .messages import say
-from .options import LayerCommand, message_options, print_bytes
+from .options import LayerCommand, message_options
+from .printing import print_bytes
 from .reportoptions import WRITING, opened_report, report_options
 from .signals import load
 from .stackoptions import make_options, stack_options

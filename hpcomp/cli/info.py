@@ -8,7 +8,8 @@ import click
 
 from ..errors import InputError
 from .messages import say
-from .options import Command, format_option, message_options, print_data
+from .options import Command, format_option, message_options
+from .printing import print_data
 from .signals import load
 from .words import PICTURES, File
 

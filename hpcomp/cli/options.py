@@ -11,8 +11,6 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 from ..errors import HpcompWarning, SettingError, nearest_name
-from ..system.outputs import writing
-from ..system.streams import stdout_bytes
 from .messages import say
 from .words import Choice
 
@@ -135,18 +133,6 @@ def is_quiet(ctx: click.Context) -> bool:
 
 def _show_warning(message: Any, category: type[Warning], *where: Any, **more: Any) -> None:
     say(f"hpcomp: warning: {message}")
-
-
-def print_data(text: str) -> None:
-    """Prints on stdout, which carries data only; `OutputError` where it takes none."""
-    encoding = getattr(sys.stdout, "encoding", None) or "utf-8"
-    print_bytes(f"{text}\n".encode(encoding, "backslashreplace"))
-
-
-def print_bytes(data: bytes) -> None:
-    """Prints data as they are; `OutputError` where stdout takes none."""
-    with writing("stdout"), stdout_bytes() as stdout:
-        stdout.write(data)
 
 
 class OptionOfOlderName(click.Option):

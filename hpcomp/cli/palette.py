@@ -21,7 +21,8 @@ from ..system.outputs import write_bytes
 from ..system.streams import STDOUT
 from . import signals, terminal
 from .messages import say
-from .options import F, LayerCommand, OptionOfOlderName, message_options, print_bytes
+from .options import F, LayerCommand, OptionOfOlderName, message_options
+from .printing import print_bytes
 from .reportoptions import WRITING, opened_report, report_options
 from .stackoptions import make_options, stack_options
 from .words import Choice, Layer, Text, color_names

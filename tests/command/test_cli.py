@@ -12,6 +12,7 @@ import stat
 import subprocess
 import sys
 import zlib
+from unittest import mock
 
 import click
 import exrfile
@@ -24,8 +25,10 @@ from command import COMMAND, OLD, PATIENCE_S, Desk, command, hpcomp, shell, snap
 from processes import SIGNALS, assert_ended, running, temporary_of
 
 import hpcomp as package
-from hpcomp import cli
+from hpcomp.cli import group
+from hpcomp.cli.frontpage import COMMANDS
 from hpcomp.cli.options import shown_names
+from hpcomp.errors import EXIT_CODE_MEANINGS
 
 SIZE = 10, 8
 
@@ -84,7 +87,18 @@ def png_size(data):
         (2, ["stack", "base.png", "-o", "out.png", "--op", "above"]),
         (3, ["stack", "nowhere.png", "-o", "out.png"]),
         (3, ["info", "nowhere.png"]),
-        (4, ["stack", "base.png", "top.png::at=+100+0", "-o", "out.png", "--canvas", "intersection"]),
+        (
+            4,
+            [
+                "stack",
+                "base.png",
+                "top.png::at=+100+0",
+                "-o",
+                "out.png",
+                "--canvas",
+                "intersection",
+            ],
+        ),
         (4, ["stack", "base.png", "-o", "out.png", "--max-memory", "1"]),
         (5, ["stack", "base.png", "-o", "nowhere/out.png"]),
         (5, ["hues", "base.png", "-o", "out.png", "--no-clobber"]),
@@ -103,7 +117,7 @@ def test_a_bug_is_one_line_that_asks_for_a_report(desk, monkeypatch):
     def broken():
         raise RuntimeError("a wheel is off\nand rolls away")
 
-    monkeypatch.setattr(cli, "cli", click.Command("hpcomp", callback=broken))
+    monkeypatch.setattr(group, "cli", click.Command("hpcomp", callback=broken))
     run = desk.run()
     said = "RuntimeError: a wheel is off and rolls away; please report it with what --debug prints"
     assert (run.code, run.stdout, run.stderr) == (1, b"", f"hpcomp: bug: {said}\n")
@@ -345,7 +359,31 @@ def test_region_outside_the_canvas(desk):
 
 # ---- bad input: settings --------------------------------------------------------------------
 
-OPERATORS = ["clear", "src", "copy", "dst", "over", "src-over", "dst-over", "under", "in", "src-in", "dst-in", "mask", "out", "src-out", "dst-out", "stencil", "atop", "src-atop", "dst-atop", "xor", "plus", "add", "lighter"]
+OPERATORS = [
+    "clear",
+    "src",
+    "copy",
+    "dst",
+    "over",
+    "src-over",
+    "dst-over",
+    "under",
+    "in",
+    "src-in",
+    "dst-in",
+    "mask",
+    "out",
+    "src-out",
+    "dst-out",
+    "stencil",
+    "atop",
+    "src-atop",
+    "dst-atop",
+    "xor",
+    "plus",
+    "add",
+    "lighter",
+]
 KEYS = ["op", "opacity", "at", "alpha", "colorspace", "part", "layer", "name"]
 GRAVITIES = ["north", "north-west", "center", "east", "south-east"]
 
@@ -411,7 +449,9 @@ def test_rules_beside_the_papers(desk, rule):
     made = json.loads((desk / "made.json").read_text())
     assert made["settings"][rule.replace("_", " ")] == str(value)
     assert made["measures"]["result"] != made["measures"]["traditional"]
-    shown = desk.makes("explain", "base.png", "top.png", "--at", "0,0", "--format", "json", *options)
+    shown = desk.makes(
+        "explain", "base.png", "top.png", "--at", "0,0", "--format", "json", *options
+    )
     data = json.loads(shown.stdout)
     assert data[rule] == value
     assert data["result"]["rgba"] == pytest.approx(expected, abs=2e-6)
@@ -1071,9 +1111,8 @@ HEAVY = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("arguments", [["--help"], ["info", "--help"]])
-def test_help_loads_click_alone(desk, arguments):
-    loaded = modules(desk, *arguments)
+def test_help_of_a_command_loads_click_alone(desk):
+    loaded = modules(desk, "info", "--help")
     assert "click" in loaded
     assert not loaded & HEAVY
 
@@ -1111,33 +1150,60 @@ def test_version():
         assert len(done.stdout.splitlines()) == 1
 
 
+@pytest.mark.parametrize("columns", ["30", "64", "80", "90", "300"])
+def test_help_is_the_page_that_click_would_make(columns):
+    """Which is made without it, as its import takes longer than all the rest."""
+    env = {"COLUMNS": columns}
+
+    def shown(ctx):
+        formatter = ctx.make_formatter()
+        click.Group.format_usage(group.cli, ctx, formatter)
+        click.Group.format_help_text(group.cli, ctx, formatter)
+        click.Command.format_options(group.cli, ctx, formatter)
+        with formatter.section("Commands"):
+            formatter.write_dl([(name, line) for name, (_, line) in COMMANDS.items()])
+        with formatter.section("Exit codes"):
+            formatter.write_dl([(str(int(k)), v) for k, v in EXIT_CODE_MEANINGS.items()])
+        return formatter.getvalue()
+
+    with mock.patch.dict(os.environ, env):
+        expected = shown(click.Context(group.cli, info_name="hpcomp", **group.cli.context_settings))
+    for arguments in (["--help"], ["-h"], ["--help", "stack"]):
+        run = hpcomp(*arguments, env=env)
+        assert (run.code, run.stdout.decode(), run.stderr) == (0, expected, "")
+    run = hpcomp(env=env)
+    assert (run.code, run.stdout, run.stderr) == (2, b"", expected)
+
+
 @pytest.mark.parametrize("flag", ["-h", "--help"])
 def test_help(flag):
     run = hpcomp(flag)
     assert (run.code, run.stderr) == (0, "")
     text = run.stdout.decode()
-    for name, (_, line) in cli.COMMANDS.items():
+    for name, (_, line) in COMMANDS.items():
         assert any(row.split() == [name, *line.split()] for row in text.splitlines())
     for code in package.ExitCode:
         assert f" {int(code)} " in text
 
 
-@pytest.mark.parametrize("name", list(cli.COMMANDS))
+@pytest.mark.parametrize("name", list(COMMANDS))
 def test_help_of_a_command(name):
     run = hpcomp(name, "--help")
     assert (run.code, run.stderr) == (0, "")
     text = run.stdout.decode()
     assert text.startswith(f"Usage: hpcomp {name} ")
-    found = cli.cli.get_command(None, name)
-    assert found.short_help == cli.COMMANDS[name][1]
-    assert cli.COMMANDS[name][1] in " ".join(text.split())
+    found = group.cli.get_command(None, name)
+    assert found.short_help == COMMANDS[name][1]
+    assert COMMANDS[name][1] in " ".join(text.split())
     for parameter in found.params:
         if getattr(parameter, "hidden", False):
             continue  # of other commands, or in another spelling
         if isinstance(parameter, click.Option):
             assert parameter.help, f"{parameter.name} has no help"
             assert all(name in text for name in shown_names(parameter))
-            assert not any(name in text for name in set(parameter.opts) - set(shown_names(parameter)))
+            assert not any(
+                name in text for name in set(parameter.opts) - set(shown_names(parameter))
+            )
 
 
 def test_help_of_stack_lists_what_can_be_said():

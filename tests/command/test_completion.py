@@ -13,9 +13,10 @@ import pngfile
 import pytest
 from command import COMMAND, Desk, command, hpcomp
 
-from hpcomp import cli
 from hpcomp.blending.orders import ORDERS
 from hpcomp.blending.porter_duff import OPERATOR_NAMES
+from hpcomp.cli.frontpage import COMMANDS
+from hpcomp.cli.group import cli
 from hpcomp.cli.options import OptionOfOlderName
 from hpcomp.cli.words import Choice
 from hpcomp.color.css import css_names
@@ -202,8 +203,8 @@ def test_values_behind_an_equals_sign(desk):
 
 
 def commands():
-    group = click.Context(cli.cli)
-    return {name: cli.cli.get_command(group, name) for name in cli.COMMANDS}
+    group = click.Context(cli)
+    return {name: cli.get_command(group, name) for name in COMMANDS}
 
 
 CHOSEN = [
@@ -220,7 +221,7 @@ def test_every_choice_is_offered(desk, option, param):
     assert offered(desk, f"{option} ") == sorted(param.type.choices)
 
 
-@pytest.mark.parametrize("name", cli.COMMANDS)
+@pytest.mark.parametrize("name", COMMANDS)
 def test_options_of_a_command(desk, name):
     """Sorted, without older spellings and without those that change nothing there."""
     given = offered(desk, f"{name} -")
@@ -236,7 +237,7 @@ def test_options_of_a_command(desk, name):
 
 
 def test_commands(desk):
-    assert offered(desk, "") == sorted(cli.COMMANDS)
+    assert offered(desk, "") == sorted(COMMANDS)
     assert offered(desk, "st") == ["stack"]
 
 

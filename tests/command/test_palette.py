@@ -20,7 +20,7 @@ from strategies import color_of, valid_colors
 
 import hpcomp
 from hpcomp.analysis.palette import FINDING_KINDS, MOST_LABELS, PROFILE_STEPS, patch
-from hpcomp.cli import cli
+from hpcomp.cli.group import cli
 from hpcomp.color.css import css_color
 from hpcomp.color.difference import contrast, difference, oklab
 from hpcomp.engine import choice as engine

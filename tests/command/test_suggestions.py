@@ -13,9 +13,10 @@ from command import Desk, hpcomp
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hpcomp import cli
 from hpcomp.blending.orders import ORDERS
 from hpcomp.blending.porter_duff import OPERATOR_NAMES
+from hpcomp.cli.frontpage import COMMANDS
+from hpcomp.cli.group import cli
 from hpcomp.cli.options import Choice, shown_names
 from hpcomp.color.css import css_color, css_names
 from hpcomp.color.encodings import ALPHA_MODES, COLOR_INTEROP_IDS, COLOR_SPACES
@@ -37,8 +38,8 @@ def desk(tmp_path):
 
 
 def commands():
-    group = click.Context(cli.cli)
-    return {name: cli.cli.get_command(group, name) for name in cli.COMMANDS}
+    group = click.Context(cli)
+    return {name: cli.get_command(group, name) for name in COMMANDS}
 
 
 def slips(name):
@@ -64,12 +65,12 @@ def slips(name):
 )
 def test_a_command_that_is_mistyped(desk, typed, meant):
     desk.refuses(
-        2, typed, "base.png", says=[f"'{typed}'", f"did you mean '{meant}'?", *cli.COMMANDS]
+        2, typed, "base.png", says=[f"'{typed}'", f"did you mean '{meant}'?", *COMMANDS]
     )
 
 
 def test_a_command_that_is_like_no_other(desk):
-    line = desk.refuses(2, "zzz", says=["unknown command 'zzz': choose one of", *cli.COMMANDS])
+    line = desk.refuses(2, "zzz", says=["unknown command 'zzz': choose one of", *COMMANDS])
     assert "did you mean" not in line
 
 
@@ -90,7 +91,7 @@ OPTION_NAMES = [
 ]
 
 
-@pytest.mark.parametrize("command", cli.COMMANDS)
+@pytest.mark.parametrize("command", COMMANDS)
 def test_options_that_are_mistyped(command):
     shown = [name[2:] for of, name in OPTION_NAMES if of == command]
     for name in shown:
@@ -163,7 +164,7 @@ TABLES = {
     "alphas": ALPHA_MODES,
     "gravities": GRAVITIES,
     "keys": LAYER_KEYS,
-    "commands": cli.COMMANDS,
+    "commands": COMMANDS,
 }
 
 

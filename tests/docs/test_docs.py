@@ -28,7 +28,8 @@ from hpcomp.blending.orders import ORDERS
 from hpcomp.blending.porter_duff import OPERATOR_NAMES, OPERATORS
 from hpcomp.blending.strength import STRENGTHS
 from hpcomp.blending.weaving import PATTERNS
-from hpcomp.cli import COMMANDS, cli
+from hpcomp.cli.frontpage import COMMANDS
+from hpcomp.cli.group import cli
 from hpcomp.cli.options import shown_names
 from hpcomp.color.encodings import ALPHA_MODES, COLOR_INTEROP_IDS, COLOR_SPACES
 from hpcomp.color.spaces import SPACES

@@ -1062,8 +1062,8 @@ class TestWrittenExr:
 #: Runs the command in this process, then says which of some modules it imported.
 IMPORTS = """
 import json, sys
-from hpcomp import cli
-code = cli.cli.main(sys.argv[1:], prog_name="hpcomp", standalone_mode=False)
+from hpcomp.cli.group import cli
+code = cli.main(sys.argv[1:], prog_name="hpcomp", standalone_mode=False)
 modules = ["OpenImageIO", "OpenEXR", "hpcomp.imagefile.openimageio"]
 print(json.dumps([code or 0, [name for name in modules if name in sys.modules]]))
 """
