@@ -88,7 +88,7 @@ def _print_schema(ctx: click.Context, param: click.Parameter, value: bool) -> No
     "--dask",
     metavar="ADDRESS",
     help="Let the workers of a Dask cluster do the jobs, on the same paths: a scheduler's address "
-    "or scheduler file, or local:N to start one here. -j is then how many jobs it has at a time, "
+    "or scheduler file, or local:N to start one here. -j is then how many jobs run at a time, "
     "and --threads (1 if not given) and --max-memory are of each job.",
 )
 @click.option(

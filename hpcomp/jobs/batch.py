@@ -19,8 +19,8 @@ from ..system.depfile import Depfile
 from ..system.memory import parse_bytes, parse_pixels
 from ..system.outputs import check_places, remove_abandoned, writing
 from ..system.streams import STDIN, STDOUT, stdout_bytes
-from .doing import maker
 from .jobfile import read_jobs
+from .maker import maker
 from .processes import Crew, Processes, Result
 from .schema import Job, jobs_of
 from .state import State, state_beside
@@ -120,9 +120,9 @@ def batch(
     stdout. `depfile`: a path for a rule of make that says what was read, the job file included;
     `depfile_target`: of what, the pictures if empty.
     `dask`: the address of a Dask scheduler, or its scheduler file, whose workers do the jobs, on
-    the same paths; `local:4` starts one with four. `workers` is then how many jobs it has at a
-    time, `threads` (1 if None) and `max_memory` are of each job, and a job whose worker dies is
-    given to another.
+    the same paths; `local:4` starts one with four. `workers` is then how many jobs run at a time,
+    `threads` (1 if None) and `max_memory` are of each job, and a job whose worker dies or whose
+    process is killed is begun again.
     `command` is what reports say made them. `on_begin` is told of the jobs, `on_record` of each
     that ends, `on_wait` is called several times a second.
     Returns: what became of each job. Nothing but complete files appear.
@@ -284,7 +284,10 @@ class _Run:
             self._begin(ended)
             while self.crew.is_busy():
                 for number, result in self.crew.ended(TICK_S):
-                    self._done(self._record(number, result), ended)
+                    if result is None:
+                        self.ready.appendleft(number)
+                    else:
+                        self._done(self._record(number, result), ended)
                 self._begin(ended)
                 wait()
             for number in range(len(self.jobs)):
@@ -300,7 +303,7 @@ class _Run:
         """Begins as many jobs as there is room for; those that need nothing done are done."""
         while not self.stopped:
             self.ready.extend(self.order.get_ready())
-            if not self.ready or not self.crew.has_room():
+            if not self.ready or not self.crew.has_room(len(self.ready)):
                 return
             number = self.ready.popleft()
             record = self._without_running(number)
@@ -312,7 +315,9 @@ class _Run:
     def _done(self, record: JobRecord, ended: Callable[[JobRecord], None]) -> None:
         number = record.job - 1
         self.records[number] = record
-        self.stopped = self.stopped or (self.fail_fast and record.status == "failed")
+        if self.fail_fast and record.status == "failed" and not self.stopped:
+            self.stopped = True
+            self.crew.hold()
         ended(record)
         if record.status != "not run":
             self.order.done(number)
@@ -327,6 +332,7 @@ class _Run:
             "entry": entry,
             "remembered": self.state is not None,
             "maker": self.maker,
+            "elsewhere": self.crew.elsewhere,
         }
 
     def _plain(self, number: int, status: str, **more: Any) -> JobRecord:

@@ -30,14 +30,9 @@ from ..errors import (
 )
 from ..pipeline.stack import stack
 from ..system import outputs
-from ..version import __version__
+from .maker import difference, maker
 from .schema import Job, jobs_of
 from .state import Entry, current, entry_of, signature
-
-
-def maker() -> list[str]:
-    """What decides over the bytes of a stack beside its job: the version, and the engine."""
-    return [__version__, engine.active().name]
 
 
 def do_job(task: dict[str, Any]) -> dict[str, Any]:
@@ -45,7 +40,8 @@ def do_job(task: dict[str, Any]) -> dict[str, Any]:
 
     `task`: `job` as a document; `granted`, options of `stack` that hold unless the job has its own;
     `entry`, what is known of an earlier run if the job may be up to date; `remembered`, whether
-    what is made is to be known to later ones; `maker`, which this one has to be.
+    what is made is to be known to later ones; `maker`, that of the batch; `elsewhere`, whether this
+    may be another machine, whose maker has to be the same.
     """
     begin = time.perf_counter()
     _forget_peak()
@@ -54,14 +50,14 @@ def do_job(task: dict[str, Any]) -> dict[str, Any]:
         warnings.simplefilter("ignore")
         warnings.simplefilter("always", HpcompWarning)
         try:
-            if task["maker"] != maker():
-                raise MismatchError(_other_maker(task["maker"]))
+            if task["elsewhere"] and (unlike := difference(maker(), task["maker"])):
+                raise MismatchError(f"{unlike}, whose bytes may differ: install the same on both")
             (job,) = jobs_of([task["job"]])
-            entry = current(task["entry"], job)
+            entry = current(task["entry"], job, task["maker"])
             if entry is not None:
                 result["status"] = "current"
             else:
-                entry = _made(job, task["granted"], task["remembered"])
+                entry = _made(job, task)
             result["entry"] = entry
         except HpcompError as error:
             result |= failure(str(error), error.exit_code)
@@ -80,21 +76,12 @@ def failure(message: str, code: ExitCode) -> dict[str, Any]:
     return {"status": "failed", "error": one_line(message), "exit_code": int(code)}
 
 
-def _made(job: Job, granted: dict[str, Any], remembered: bool) -> Entry | None:
+def _made(job: Job, task: dict[str, Any]) -> Entry | None:
     """Makes the stack; what is to be known of it afterwards, if that is remembered."""
+    remembered = task["remembered"]
     inputs = {path: signature(path) for path in job.inputs} if remembered else {}
-    stack(job.layers, job.output, **{**granted, **job.options})
-    return entry_of(job, inputs) if remembered else None
-
-
-def _other_maker(asked: list[str]) -> str:
-    def words(version: str, name: str) -> str:
-        return f"hpcomp {version} (engine: {name})"
-
-    return (
-        f"the worker has {words(*maker())} and the batch {words(*asked)}, whose bytes may differ: "
-        "install the same on both"
-    )
+    stack(job.layers, job.output, **{**task["granted"], **job.options})
+    return entry_of(job, task["maker"], inputs) if remembered else None
 
 
 def _forget_peak() -> None:
@@ -151,7 +138,8 @@ def main(temporary_prefix: str, patience_s: float | None) -> None:
     busy = threading.Event()
     threading.Thread(target=_receive, args=(tasks, waiting, busy), daemon=True).start()
     with warnings.catch_warnings(action="ignore"), contextlib.suppress(SettingError):
-        maker()  # that the kernel is missing was said by the batch, once for all its processes
+        # That the kernel is missing was said by the batch, once for all its processes.
+        engine.active()
     try:
         while (line := waiting.get(timeout=patience_s)) is not None:
             result = json.dumps(do_job(json.loads(line))).encode()

@@ -30,22 +30,30 @@ PATIENCE_S = 0.6
 class Crew(Protocol):
     """Whoever does the jobs of a batch: is given them by number, and tells what became of them.
 
-    `granted`: options of `stack` for the jobs that have none of their own.
+    `granted`: options of `stack` for the jobs that have none of their own. `elsewhere`: whether
+    jobs are done by installations that may not be this one.
     """
 
     granted: Mapping[str, Any]
+    elsewhere: bool
 
-    def has_room(self) -> bool:
-        """Whether one more job can be begun."""
+    def has_room(self, ready: int) -> bool:
+        """Whether one more job can be begun, of so many that are ready."""
 
     def give(self, number: int, task: Task, outputs: Sequence[str]) -> None:
         """Begins a job, which writes `outputs`."""
 
-    def ended(self, wait_s: float) -> Iterator[tuple[int, Result]]:
-        """The jobs that have ended, waiting so long at most; a batch asks until there are none."""
+    def ended(self, wait_s: float) -> Iterator[tuple[int, Result | None]]:
+        """The jobs that have ended, waiting so long at most; a batch asks until there are none.
+
+        None instead of a result: the job is to be given again.
+        """
 
     def is_busy(self) -> bool:
         """Whether a job that was begun has not ended."""
+
+    def hold(self) -> None:
+        """Begins no more of the jobs that it was given: they come to no end."""
 
     def close(self) -> None:
         """Lets everybody go, after the last job."""
@@ -146,6 +154,8 @@ def stop(processes: Sequence[JobProcess]) -> None:
 class Processes:
     """A crew on this machine: `count` processes at most, started when they are needed."""
 
+    elsewhere = False
+
     def __init__(self, count: int, granted: Mapping[str, Any], prefix: str) -> None:
         self.count, self.granted, self._prefix = count, granted, prefix
         self._idle: list[JobProcess] = []
@@ -171,7 +181,7 @@ class Processes:
         granted = {"threads": max(1, in_all // count), "max_memory": max_memory // count}
         return Processes(count, granted, prefix)
 
-    def has_room(self) -> bool:
+    def has_room(self, ready: int) -> bool:
         return bool(self._idle) or len(self._busy) < self.count
 
     def give(self, number: int, task: Task, outputs: Sequence[str]) -> None:
@@ -203,6 +213,9 @@ class Processes:
 
     def is_busy(self) -> bool:
         return bool(self._busy)
+
+    def hold(self) -> None:
+        pass  # each is begun when it is given
 
     def close(self) -> None:
         for process in self._idle:

@@ -16,11 +16,10 @@ import time
 from collections.abc import Iterable, Mapping, Sequence
 from typing import IO, Any
 
-from ..engine import choice as engine
 from ..errors import OutputError, SettingError
 from ..system.outputs import remove_leftovers, writing
 from ..system.sourcedate import VARIABLE as SOURCE_DATE
-from ..version import __version__
+from .maker import Maker
 from .schema import Job
 
 #: A file that was changed so shortly before it was looked at may change again within the same tick
@@ -38,11 +37,11 @@ Entry = dict[str, Any]
 # --- one job --------------------------------------------------------------------------------------
 
 
-def job_key(job: Job) -> str:
+def job_key(job: Job, maker: Maker) -> str:
     """A name of all that decides what the job writes, but for the content of its files."""
     document = {k: v for k, v in job.document().items() if k not in _WITHOUT_EFFECT}
     date = os.environ.get(SOURCE_DATE)
-    written = json.dumps([document, __version__, engine.active().name, date], sort_keys=True)
+    written = json.dumps([document, maker, date], sort_keys=True)
     return hashlib.sha256(written.encode()).hexdigest()
 
 
@@ -103,15 +102,15 @@ def _still(path: str, before: Signature) -> Signature | None:
     return after if after.get("sha256") == before.get("sha256") is not None else None
 
 
-def entry_of(job: Job, inputs: Mapping[str, Signature]) -> Entry:
+def entry_of(job: Job, maker: Maker, inputs: Mapping[str, Signature]) -> Entry:
     """What is to be known of a job that was just done, from what `inputs` were before."""
     outputs = {path: signature(path) for path in job.outputs}
-    return {"key": job_key(job), "inputs": dict(inputs), "outputs": outputs}
+    return {"key": job_key(job, maker), "inputs": dict(inputs), "outputs": outputs}
 
 
-def current(entry: Entry | None, job: Job) -> Entry | None:
+def current(entry: Entry | None, job: Job, maker: Maker) -> Entry | None:
     """What is known now of a job whose outputs stand there, made from the same; None of another."""
-    if entry is None or entry.get("key") != job_key(job):
+    if entry is None or entry.get("key") != job_key(job, maker):
         return None
     known: Entry = {"key": entry["key"]}
     try:

@@ -3,6 +3,7 @@
 import contextlib
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -24,7 +25,8 @@ from batches import (
 from command import PATIENCE_S, Desk, command
 
 import hpcomp
-from hpcomp.jobs import cluster, doing
+from hpcomp.jobs import cluster, doing, worker
+from hpcomp.jobs.maker import maker
 from hpcomp.jobs.schema import jobs_of
 
 DASK = Path(sys.executable).with_name("dask")
@@ -32,10 +34,11 @@ DASK = Path(sys.executable).with_name("dask")
 
 @dataclass
 class Machines:
-    """A scheduler and workers, in directories of their own."""
+    """A scheduler and workers, in directories of their own; `options` of both."""
 
     folder: Path
-    scheduler: subprocess.Popen
+    options: tuple = ()
+    scheduler: subprocess.Popen = None
     workers: list[subprocess.Popen] = field(default_factory=list)
 
     @property
@@ -47,36 +50,56 @@ class Machines:
         return json.loads(self.file.read_text())["address"]
 
     def add_worker(self):
-        self.workers.append(_started(self.folder, "worker", "--no-nanny", "--nthreads", "1"))
+        self.workers.append(self._started("worker", "--no-nanny", "--nthreads", "1"))
         return self.workers[-1]
 
     def await_workers(self, count):
         """Waits until so many are there."""
-        import distributed
-
-        with distributed.Client(self.address, set_as_default=False) as client:
+        with self.client() as client:
             client.wait_for_workers(count, timeout=PATIENCE_S)
 
+    def client(self):
+        import distributed
 
-def _started(folder, *arguments):
-    with open(folder / f"{arguments[0]}.log", "ab") as messages:
-        return subprocess.Popen(
-            [DASK, *arguments, "--scheduler-file", folder / "scheduler.json", "--no-dashboard"],
-            cwd=folder, stdout=messages, stderr=messages, start_new_session=True,
-        )  # fmt: skip
+        return distributed.Client(self.address, set_as_default=False)
+
+    def seen(self):
+        """What the scheduler has seen: how many tasks there are, and how many of a prefix there were."""
+        with self.client() as client:
+            return client.run_on_scheduler(
+                lambda dask_scheduler: (
+                    len(dask_scheduler.tasks),
+                    {p.name: p.state_counts["memory"] for p in dask_scheduler.task_prefixes.values()},
+                )
+            )
+
+    def _started(self, *arguments, env=None):
+        with open(self.folder / f"{arguments[0]}.log", "ab") as messages:
+            return subprocess.Popen(
+                [DASK, *arguments, *self.options, "--scheduler-file", self.file, "--no-dashboard"],
+                cwd=self.folder, stdout=messages, stderr=messages, start_new_session=True,
+                env={**os.environ, **(env or {})},
+            )  # fmt: skip
+
+    @contextlib.contextmanager
+    def running(self, **env):
+        """They run until the end of the block, the scheduler with these variables."""
+        self.folder.mkdir()
+        self.scheduler = self._started("scheduler", "--port", "0", "--host", "127.0.0.1", env=env)
+        try:
+            until(lambda: self.file.exists() and self.file.read_bytes().endswith(b"}"))
+            yield self
+        finally:
+            for process in (*self.workers, self.scheduler):
+                with contextlib.suppress(ProcessLookupError):
+                    os.killpg(process.pid, signal.SIGKILL)
+                process.wait()
 
 
 @pytest.fixture
 def machines(tmp_path):
-    folder = tmp_path / "machines"
-    folder.mkdir()
-    found = Machines(folder, _started(folder, "scheduler", "--port", "0", "--host", "127.0.0.1"))
-    until(lambda: found.file.exists() and found.file.read_bytes().endswith(b"}"))
-    yield found
-    for process in (*found.workers, found.scheduler):
-        with contextlib.suppress(ProcessLookupError):
-            os.killpg(process.pid, signal.SIGKILL)
-        process.wait()
+    with Machines(tmp_path / "machines").running() as found:
+        yield found
 
 
 @pytest.fixture
@@ -85,6 +108,12 @@ def desk(tmp_path):
     for number in range(3):
         hpcomp.write_image(desk / f"l{number}.png", noise(number, (700, 600)))
     return desk
+
+
+def small_layers(desk):
+    """Layers of a few pixels: what costs is all around them."""
+    for number in range(3):
+        hpcomp.write_image(desk / f"l{number}.png", noise(number, (16, 16)))
 
 
 def begun(desk, *options):
@@ -116,8 +145,8 @@ def end_of(process):
 # ---- the same bytes ------------------------------------------------------------------------------
 
 
-def test_a_worker_that_is_killed_loses_no_frame_and_changes_no_byte(desk, machines):
-    count = 8
+def test_a_worker_that_is_killed_and_one_that_comes_change_no_byte(desk, machines):
+    count = 16
     put_jobs(desk, jobs(count, compression="9", report="out{}.json"))
     assert desk.run("batch", "jobs.json").code == 0
     expected = outputs(desk)
@@ -130,9 +159,12 @@ def test_a_worker_that_is_killed_loses_no_frame_and_changes_no_byte(desk, machin
     until(lambda: processes_of(first.pid))
     # The only process of the worker, which is given a job as soon as it ends one.
     first.kill()
+    third = machines.add_worker()
+    until(lambda: process.poll() is not None or processes_of(third.pid))
+    assert process.poll() is None
     code, error = end_of(process)
     assert code == 0, error
-    assert error.count("/8 out") == count
+    assert error.count("/16 out") == count
     assert outputs(desk).keys() == expected.keys()
     for name, data in outputs(desk).items():
         if name.endswith(".png"):  # a report says what command made it
@@ -164,6 +196,174 @@ def test_the_log_and_the_exit_code_are_those_of_a_local_run(desk, machines):
     assert runs[0] == runs[1]
     assert [record["status"] for record in runs[0][0]] == ["made", "failed", "made", "made"]
     assert runs[0][0][2]["warnings"]
+
+
+def test_a_process_that_is_killed_is_begun_again(desk, machines):
+    worker = machines.add_worker()
+    machines.await_workers(1)
+    put_jobs(desk, jobs(3, compression="9"))
+    assert desk.run("batch", "jobs.json").code == 0
+    expected = outputs(desk)
+    for name in expected:
+        (desk / name).unlink()
+    process = begun(desk, "--dask", machines.address)
+    os.kill(processes_of(worker.pid)[0], signal.SIGKILL)
+    code, error = end_of(process)
+    assert code == 0, error
+    assert sorted(record["job"] for record in records(desk)) == [1, 2, 3]
+    assert [record["status"] for record in records(desk)] == ["made"] * 3
+    assert outputs(desk) == expected
+    assert temporaries(desk) == []
+
+
+def test_a_process_that_is_killed_whenever_it_begins_fails_its_job(desk, machines):
+    worker = machines.add_worker()
+    machines.await_workers(1)
+    put_jobs(desk, jobs(1, compression="9"))
+    process = begun(desk, "--dask", machines.address)
+    killed = set()
+    while process.poll() is None:
+        for number in processes_of(worker.pid):
+            if is_making(desk):
+                with contextlib.suppress(ProcessLookupError):
+                    os.kill(number, signal.SIGKILL)
+                    killed.add(number)
+    code, error = end_of(process)
+    assert code == 1
+    assert "out0.png): the process that made it was ended by SIGKILL" in error
+    assert len(killed) == 1 + cluster.RETRIES
+    assert outputs(desk) == {}
+    assert temporaries(desk) == []
+
+
+@pytest.mark.slow
+def test_jobs_of_a_task_that_killed_its_worker_are_tried_one_by_one(desk, tmp_path):
+    small_layers(desk)
+    put_jobs(desk, jobs(400))
+    found = Machines(tmp_path / "machines")
+    with found.running(DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES="0"):
+        first, _ = found.add_worker(), found.add_worker()
+        found.await_workers(2)
+        process = subprocess.Popen(
+            command("batch", "jobs.json", "--dask", found.address, "--log", "log"),
+            cwd=desk.folder, stderr=subprocess.PIPE,
+        )  # fmt: skip
+        until(lambda: len(outputs(desk)) > 60)  # they go together by now
+        first.kill()
+        code, error = end_of(process)
+        assert code == 0, error
+        assert sorted(record["job"] for record in records(desk)) == list(range(1, 401))
+        assert len(outputs(desk)) == 400
+
+
+# ---- as Dask wants it ----------------------------------------------------------------------------
+
+
+def test_small_jobs_go_together_and_leave_nothing_on_the_scheduler(desk, machines):
+    machines.add_worker()
+    small_layers(desk)
+    put_jobs(desk, jobs(300))
+    for more in (0, 1):
+        run = desk.run("batch", "jobs.json", "--dask", machines.address, "--log", "log")
+        assert run.code == 0, run.stderr
+        assert run.stderr.count("/300 out") == 300
+        assert len(records(desk)) == 300
+        tasks, prefixes = machines.seen()
+        assert tasks == 0
+        assert list(prefixes) == ["hpcomp-stack"]
+        assert 12 < prefixes["hpcomp-stack"] < 60 * (1 + more)
+
+
+def test_jobs_that_cannot_be_done_twice_are_tasks_of_their_own(desk, machines):
+    machines.add_worker()
+    small_layers(desk)
+    tables = [*jobs(60, clobber=False), {"layers": ["l0.png", "l1.png"], "output": "l0.png"}]
+    put_jobs(desk, tables)
+    run = desk.run("batch", "jobs.json", "--dask", machines.address)
+    assert run.code == 0, run.stderr
+    assert machines.seen()[1] == {"hpcomp-stack": 61}
+
+
+@pytest.mark.slow
+def test_an_adaptive_cluster_grows(desk):
+    put_jobs(desk, jobs(60, compression="9"))
+    script = (
+        "import distributed, sys\n"
+        "if __name__ == '__main__':\n"
+        "    cluster = distributed.LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=None)\n"
+        "    cluster.adapt(minimum=1, maximum=4)\n"
+        "    print(cluster.scheduler_address, flush=True)\n"
+        "    for _ in sys.stdin:\n"
+        "        print(len(cluster.scheduler_info['workers']), flush=True)\n"
+        "    cluster.close()\n"
+    )
+    there = subprocess.Popen(
+        [sys.executable, "-Wignore", desk.put("adaptive.py", script.encode())], text=True,
+        stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
+    )  # fmt: skip
+    process = begun(desk, "--dask", there.stdout.readline().strip())
+
+    def count():
+        there.stdin.write("\n")
+        there.stdin.flush()
+        return int(there.stdout.readline())
+
+    until(lambda: process.poll() is not None or count() == 4)
+    assert process.poll() is None
+    code, error = end_of(process)
+    assert code == 0, error
+    assert len(outputs(desk)) == 60
+    there.stdin.close()
+    there.wait()
+    there.stdout.close()
+
+
+def test_fail_fast_begins_no_more(desk, machines):
+    machines.add_worker()
+    machines.await_workers(1)
+    tables = jobs(40, compression="9")
+    tables[0]["layers"] = ["gone.png"]
+    put_jobs(desk, tables)
+    run = desk.run("batch", "jobs.json", "--dask", machines.address, "--fail-fast", "--log", "log")
+    assert run.code == 3
+    told = [record["status"] for record in records(desk)]
+    assert len(told) == 40
+    assert told.count("failed") == 1
+    assert told.count("made") == len(outputs(desk)) <= 4
+    assert told.count("not run") >= 35
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(shutil.which("openssl") is None, reason="makes certificates with openssl")
+def test_tls_by_the_settings_of_dask(desk, tmp_path):
+    key, certificate = tmp_path / "key.pem", tmp_path / "certificate.pem"
+    subprocess.run(
+        ["openssl", "req", "-x509", "-newkey", "rsa:2048", "-nodes", "-days", "1", "-subj", "/CN=here",
+         "-keyout", key, "-out", certificate],
+        check=True, capture_output=True,
+    )  # fmt: skip
+    tls = ("--tls-ca-file", certificate, "--tls-cert", certificate, "--tls-key", key)
+    settings = {
+        "DASK_DISTRIBUTED__COMM__TLS__CA_FILE": str(certificate),
+        "DASK_DISTRIBUTED__COMM__TLS__CLIENT__CERT": str(certificate),
+        "DASK_DISTRIBUTED__COMM__TLS__CLIENT__KEY": str(key),
+    }
+    put_jobs(desk, jobs(2))
+    found = Machines(tmp_path / "machines", (*tls, "--protocol", "tls"))
+    with found.running():
+        found.add_worker()
+        assert found.address.startswith("tls://")
+        refused = desk.run("batch", "jobs.json", "--dask", found.address)
+        assert (refused.code, len(refused.lines)) == (3, 1)
+        assert "no Dask scheduler answers there (TLS" in refused.stderr
+        for where in (found.address, found.file):
+            run = desk.run("batch", "jobs.json", "--dask", where, env=settings)
+            assert run.code == 0, run.stderr
+    assert len(outputs(desk)) == 2
+    # A cluster within the process has nobody to hide anything from.
+    everywhere = {"DASK_DISTRIBUTED__COMM__REQUIRE_ENCRYPTION": "true"}
+    run = desk.run("batch", "jobs.json", "--dask", "local:1", env=everywhere)
+    assert run.code == 0, run.stderr
 
 
 @pytest.mark.slow
@@ -268,8 +468,11 @@ def test_a_cluster_without_workers_waits_for_one_and_says_so(desk, machines):
 
 @pytest.mark.parametrize(
     ("address", "code", "says"),
-    [("local:x", 2, "local:x"), ("local:0", 2, "local:0"), ("nowhere", 3, "nowhere: no Dask scheduler"),
-     ("tcp://127.0.0.1:9", 3, "tcp://127.0.0.1:9: no Dask scheduler"), ("jobs.json", 3, "jobs.json")],
+    [("local:x", 2, "local:x"), ("local:0", 2, "local:0"),
+     ("nowhere", 3, "no such file: nowhere: "), ("sched.json", 3, "no such file: sched.json: "),
+     ("tcp://127.0.0.1:9", 3, "tcp://127.0.0.1:9: no Dask scheduler answers there (connection refused)"),
+     ("foo://127.0.0.1:9", 3, "(unknown address scheme 'foo'"), ("tls://127.0.0.1:9", 3, "(TLS "),
+     ("jobs.json", 3, "jobs.json is no scheduler file"), ("l0.png", 3, "l0.png is no scheduler file")],
 )  # fmt: skip
 def test_what_is_no_cluster(desk, address, code, says):
     put_jobs(desk, jobs(1))
@@ -293,34 +496,37 @@ def test_without_distributed_the_extra_is_named(desk):
 def task_of(table, **more):
     (job,) = jobs_of([table])
     task = {"job": job.document(), "granted": {}, "entry": None, "remembered": False,
-            "maker": doing.maker()}  # fmt: skip
+            "maker": maker(), "elsewhere": True}  # fmt: skip
     return task | more
 
 
-def test_a_worker_of_another_version_makes_nothing(desk, monkeypatch):
+@pytest.mark.parametrize("name", ["hpcomp", "engine", "isal", "OpenImageIO", "zlib-ng"])
+def test_a_worker_of_another_version_makes_nothing(desk, monkeypatch, name):
+    """Of hpcomp, or of a library that packs pixels."""
     monkeypatch.chdir(desk.folder)
-    result = doing.do_job(task_of(jobs(1)[0], maker=["0.0.1", "reference"]))
+    result = doing.do_job(task_of(jobs(1)[0], maker={**maker(), name: "0.0.1"}))
     assert (result["status"], result["exit_code"]) == ("failed", 4)
-    assert "hpcomp 0.0.1 (engine: reference)" in result["error"]
+    here = maker()[name]
+    assert f"the worker has {name} {here} and the batch {name} 0.0.1, whose bytes" in result["error"]
     assert outputs(desk) == {}
 
 
 def test_a_worker_without_the_directory_says_so(desk):
-    result = cluster.do_there(task_of(jobs(1)[0]), "hpcomp.a.", str(desk / "none"), {})
+    (result,) = worker.do_there([task_of(jobs(1)[0])], "hpcomp.a.", str(desk / "none"), {})
     assert (result["status"], result["exit_code"]) == ("failed", 3)
-    assert str(desk / "none") in result["error"]
+    assert f"no directory {desk / 'none'}" in result["error"]
 
 
 def test_a_process_that_has_waited_too_long_is_replaced(desk, monkeypatch):
-    monkeypatch.setattr(cluster, "IDLE_S", 2.0)
+    monkeypatch.setattr(worker, "IDLE_S", 2.0)
     there = ("hpcomp.b.", str(desk.folder), {})
     before = processes_of(os.getpid())
     for table in jobs(2):
-        result = cluster.do_there(task_of(table), *there)
+        (result,) = worker.do_there([task_of(table)], *there)
         assert result["status"] == "made", result
         (process,) = set(processes_of(os.getpid())) - set(before)
         with open(f"/proc/{process}/stat") as stat:
             until(lambda file=stat: file.seek(0) or file.read().split(") ")[1][0] == "Z")
-    cluster.end_there("hpcomp.b.")
+    worker.end_there("hpcomp.b.")
     assert processes_of(os.getpid()) == before
     assert len(outputs(desk)) == 2
