@@ -41,7 +41,7 @@ SEVERITY = (
 )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)  # there may be 100,000
 class JobRecord:
     """What became of one job, as a line of the log says it.
 

@@ -31,7 +31,7 @@ from ..system.streams import STDIN, STDOUT
 SCHEMA_VERSION = 1
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)  # there may be 100,000
 class Job:
     """One stack: its layers, bottom first, its output, and the options that were given.
 
@@ -281,7 +281,7 @@ def _layer(number: int, layer: Any, table: Mapping[str, Any], typed: bool) -> La
         if not isinstance(layer, Mapping):
             if not isinstance(layer, (str, os.PathLike, LayerSpec)):
                 raise SettingError("it is neither a LAYER text nor a table of settings")
-            spec = layer_spec(layer)
+            spec = _text_layer(layer) if isinstance(layer, str) else layer_spec(layer)
         elif "path" not in layer:
             raise SettingError("it has no path")
         else:
@@ -297,6 +297,11 @@ def _layer(number: int, layer: Any, table: Mapping[str, Any], typed: bool) -> La
         raise MisplacedError(f"layer {number}: {problem}", problem.table, problem.key) from None
     except SettingError as problem:
         raise MisplacedError(f"layer {number}: {problem}", table, "layers") from None
+
+
+@lru_cache(maxsize=1024)  # jobs share layers, and then one object
+def _text_layer(text: str) -> LayerSpec:
+    return layer_spec(text)
 
 
 def checked_job(table: Any, defaults: Mapping[str, Any], where: str, *, typed: bool = False) -> Job:
