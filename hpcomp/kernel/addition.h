@@ -282,12 +282,12 @@ HPCOMP_INLINE void add_least(ConstRow m_j, ConstRow m_k, Row sum) {
 }
 
 // The larger of `part` and of what a rival cancels of a term, with the bias; all of what nothing backs.
-template <bool kStrong>
+template <bool kWeak>
 HPCOMP_INLINE void biased_part(const Rules &rules, ConstRow own, ConstRow rival, ConstRow hold,
                                ConstRow e, Row part) {
     for (int l = 0; l < kLanes; ++l) {
         const float strength = smaller(smaller(rival[l], hold[l]), own[l]);
-        const float unbacked = kStrong && smaller(rival[l], hold[l]) > 0 ? 1.0f : 0.0f;
+        const float unbacked = kWeak && smaller(rival[l], hold[l]) > 0 ? 1.0f : 0.0f;
         const float q = own[l] > 0 ? strength / own[l] : unbacked;
         part[l] = larger((1 - e[l]) * (q * bias(rules, q)), part[l]);
     }
@@ -401,6 +401,21 @@ HPCOMP_INLINE void keep_of_rivals(const float *e, const float *support, const fl
     }
 }
 
+// The same with the bias.
+template <bool kWeak>
+HPCOMP_INLINE void keep_of_rivals_biased(const Rules &rules, const float *e, const float *support, const float *hold,
+                                         int n, float *kept) {
+    const auto pair = [n](const float *table, int i, int k) { return table + (int64_t(i) * n + k) * kLanes; };
+    for (int i = 0; i < n; ++i) {
+        float part[kLanes] = {};
+        for (int j = 0; j < n; ++j)
+            if (j != i)
+                biased_part<kWeak>(rules, pair(support, i, j), pair(support, j, i), hold + j * kLanes,
+                                   pair(e, i, j), part);
+        for (int l = 0; l < kLanes; ++l) kept[i * kLanes + l] = 1 - part[l];
+    }
+}
+
 // The simultaneous rule for one run of lanes: `kept` (n, kLanes) gets what it keeps of `n` terms of
 // p (count, 2, kBlock), those of the numbers `there`, from column `begin` on. `strengths` (count, kBlock):
 // what competes, where `kStrong` says that it is not their lengths. `pairs` holds `pair_floats`,
@@ -475,23 +490,14 @@ HPCOMP_INLINE void keep_beside_rivals(const Rules &rules, const float *p, const 
             }
         }
     }
-    if (rules.gray_power > 0) {
-        for (int i = 0; i < n; ++i) {
-            float part[kLanes] = {};
-            for (int j = 0; j < n; ++j)
-                if (j != i)
-                    biased_part<kStrong>(rules, pair(support, i, j), pair(support, j, i), hold + j * kLanes,
-                                pair(e, i, j), part);
-            for (int l = 0; l < kLanes; ++l) kept[i * kLanes + l] = 1 - part[l];
-        }
-        if (weak) keep_greys(unit_x, unit_y, n, kept);
-        return;
-    }
+    const bool biased = rules.gray_power > 0;
     if (weak) {
-        keep_of_rivals<true>(e, support, hold, n, kept);
+        if (biased) keep_of_rivals_biased<true>(rules, e, support, hold, n, kept);
+        else keep_of_rivals<true>(e, support, hold, n, kept);
         keep_greys(unit_x, unit_y, n, kept);
     } else {
-        keep_of_rivals<false>(e, support, hold, n, kept);
+        if (biased) keep_of_rivals_biased<false>(rules, e, support, hold, n, kept);
+        else keep_of_rivals<false>(e, support, hold, n, kept);
     }
 }
 
