@@ -44,7 +44,8 @@ def stack_budget(
     """
     readers = [layer.reader for layer in layers]
     windows = [layer.window for layer in layers]
-    strip = max(STRIP_ROWS, *(reader.rows_at_once for reader in readers))
+    # No strip has more rows: whole blocks of the codecs, and of the observer's cells.
+    strip = 2 * max(STRIP_ROWS, *(reader.rows_at_once for reader in readers))
     all_at_once = rules.reduction is Reduction.ALL_LAYERS or any(extra)
     met = most_at_once(windows, [1] * len(layers), strip) + len(rules.needed_everywhere)
     met = min(met, len(layers))
@@ -63,7 +64,7 @@ def stack_budget(
     planes = PLANES_BYTES + (BOUNDS_BYTES if rules.bounded else 0)
     planes += STRENGTH_BYTES if rules.strength.of_chroma else 0
     widest_row = max(row_bytes)
-    # Files are open from their first row to their last, some for the strip that is read ahead.
+    # Files are open from their first row to their last, and some for the strip that is read ahead.
     open_bytes = most_at_once(windows, [reader.bytes_held for reader in readers], 2 * strip)
     return Budget(
         per_row=held
