@@ -31,7 +31,10 @@ class Accumulator(Protocol):
     nonfinite: list[int]
 
     def add(self, numbers: Sequence[int], strips: Sequence[Strip]) -> None:
-        """Layers by number; `nonfinite` counts their pixels with NaN or Inf."""
+        """Layers by number; `nonfinite` counts their pixels with NaN or Inf.
+
+        `NOTHING` takes no time, but of layers that are `StackRules.needed_everywhere`.
+        """
 
     def result(self, kind: str, losses: Losses, gamut: Primaries = REC709) -> Samples:
         """The composite (height, width, 4), as samples of a kind of `OUTPUT_TYPES`.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import subprocess
 import zlib
 from functools import cache
 
@@ -11,8 +12,10 @@ import numpy as np
 import pngfile
 import processes
 import pytest
+from command import command
 from processes import NOISE_M
 
+import hpcomp
 from hpcomp.engine import choice as engine
 
 ENDINGS = ["png", "exr"]
@@ -103,6 +106,46 @@ def peak(files, tmp_path):
         return most - base
 
     return measured
+
+
+# ---- many small layers ----------------------------------------------------------------------
+
+
+def column(folder, number, height):
+    """Layers one below the other, their canvas among the options."""
+    rng = np.random.default_rng(3)
+    words = []
+    for k in range(number):
+        pixels = np.full((height, 64, 4), 0.5, np.float32)
+        pixels[..., :3] *= rng.random((height, 64, 3))
+        hpcomp.write_image(folder / f"{k}.png", pixels)
+        words.append(f"{folder / str(k)}.png::at=+0+{k * height}")
+    return [*words, "--canvas", f"64x{number * height}+0+0"]
+
+
+def test_layers_below_each_other_take_what_one_strip_meets(tmp_path):
+    """In one place all their files are open at once."""
+    words = column(tmp_path, 300, 70)
+    options = ("--threads", 1, "--max-memory", "16M")
+    out = tmp_path / "out.exr"
+    base, code, _ = run(words[:1], out, *words[-2:], *options)
+    assert code == 0
+    most, code, stderr = run(words[:-2], out, *words[-2:], *options)
+    assert (code, stderr) == (0, "")
+    assert most - base < 16
+    together = [word.partition("::")[0] for word in words[:-2]]
+    _, code, stderr = run(together, out, *options)
+    assert code == 4
+    assert int(re.search(r"needs at least (\d+)M", stderr)[1]) > 40
+
+
+def test_a_file_is_open_from_its_first_row_to_its_last_one(tmp_path):
+    words = column(tmp_path, 80, 200)
+    done = subprocess.run(
+        ["sh", "-c", 'ulimit -n 40; exec "$@"', "sh", *command("stack", *words, "-o", tmp_path / "out.png")],
+        capture_output=True, text=True,
+    )  # fmt: skip
+    assert (done.returncode, done.stderr) == (0, "")
 
 
 # ---- the budget -----------------------------------------------------------------------------

@@ -1304,6 +1304,27 @@ class TestBinding:
                 )
 
     @pytest.mark.parametrize("order", ALL_ORDERS)
+    def test_a_layer_that_is_absent(self, order):
+        """None above the bottom is one that is transparent all over; the bottom is needed."""
+
+        def made(layers):
+            accumulator = make_accumulator(order=order, permutation=[1, 0])
+            turns = [1, 0] if order == FRONT_TO_BACK else [0, 1]
+            accumulator.add(numbers=turns, layers=[layers[number] for number in turns])
+            out = np.empty((2, 3, 4), np.float32)
+            accumulator.result(out=out, codes=None)
+            return out
+
+        bottom = np.random.default_rng(2).random((2, 3, 4), np.float32)
+        clear = make_layer(np.zeros((2, 3, 4), np.float32))
+        expected = made([make_layer(bottom), clear])
+        assert expected.any()
+        assert np.array_equal(made([make_layer(bottom), None]), expected)
+        for layers in ([None, make_layer()], [None, None]):
+            with refused():
+                made(layers)
+
+    @pytest.mark.parametrize("order", ALL_ORDERS)
     def test_numbers_and_layers_that_do_not_pair(self, order):
         layer = make_layer()
         for numbers, layers in (
