@@ -87,18 +87,7 @@ def png_size(data):
         (2, ["stack", "base.png", "-o", "out.png", "--op", "above"]),
         (3, ["stack", "nowhere.png", "-o", "out.png"]),
         (3, ["info", "nowhere.png"]),
-        (
-            4,
-            [
-                "stack",
-                "base.png",
-                "top.png::at=+100+0",
-                "-o",
-                "out.png",
-                "--canvas",
-                "intersection",
-            ],
-        ),
+        (4, ["stack", "base.png", "top.png::at=+100+0", "-o", "out.png", "--canvas", "intersection"]),
         (4, ["stack", "base.png", "-o", "out.png", "--max-memory", "1"]),
         (5, ["stack", "base.png", "-o", "nowhere/out.png"]),
         (5, ["hues", "base.png", "-o", "out.png", "--no-clobber"]),
@@ -359,31 +348,7 @@ def test_region_outside_the_canvas(desk):
 
 # ---- bad input: settings --------------------------------------------------------------------
 
-OPERATORS = [
-    "clear",
-    "src",
-    "copy",
-    "dst",
-    "over",
-    "src-over",
-    "dst-over",
-    "under",
-    "in",
-    "src-in",
-    "dst-in",
-    "mask",
-    "out",
-    "src-out",
-    "dst-out",
-    "stencil",
-    "atop",
-    "src-atop",
-    "dst-atop",
-    "xor",
-    "plus",
-    "add",
-    "lighter",
-]
+OPERATORS = ["clear", "src", "copy", "dst", "over", "src-over", "dst-over", "under", "in", "src-in", "dst-in", "mask", "out", "src-out", "dst-out", "stencil", "atop", "src-atop", "dst-atop", "xor", "plus", "add", "lighter"]
 KEYS = ["op", "opacity", "at", "alpha", "colorspace", "part", "layer", "name"]
 GRAVITIES = ["north", "north-west", "center", "east", "south-east"]
 
@@ -449,9 +414,7 @@ def test_rules_beside_the_papers(desk, rule):
     made = json.loads((desk / "made.json").read_text())
     assert made["settings"][rule.replace("_", " ")] == str(value)
     assert made["measures"]["result"] != made["measures"]["traditional"]
-    shown = desk.makes(
-        "explain", "base.png", "top.png", "--at", "0,0", "--format", "json", *options
-    )
+    shown = desk.makes("explain", "base.png", "top.png", "--at", "0,0", "--format", "json", *options)
     data = json.loads(shown.stdout)
     assert data[rule] == value
     assert data["result"]["rgba"] == pytest.approx(expected, abs=2e-6)
@@ -1091,13 +1054,14 @@ try:
     run(sys.argv[1:])
 except SystemExit as end:
     assert not end.code, end.code
-    found = sorted({name.partition(".")[0] for name in sys.modules})
+    own = {name for name in sys.modules if name.startswith("hpcomp.")}
+    found = sorted({name.partition(".")[0] for name in sys.modules} | own)
     print("loaded", found)
 """
 
 
 def modules(desk, *arguments):
-    """The top-level modules that a run has imported when it ends."""
+    """The modules that a run has imported when it ends: all of hpcomp, of others those at the top."""
     done = subprocess.run(
         [sys.executable, "-Wignore", "-c", LOADED, *arguments],
         cwd=desk.folder, capture_output=True, check=True,
@@ -1109,6 +1073,16 @@ HEAVY = {
     "numpy", "OpenImageIO", "OpenEXR", "colour", "matplotlib", "scipy", "dask",
     "htpy", "msgspec", "tqdm", "webcolors",
 }  # fmt: skip
+
+
+def test_help_loads_next_to_nothing(desk):
+    loaded = modules(desk, "--help")
+    assert not loaded & {*HEAVY, "click", "dataclasses", "inspect"}
+    assert {name for name in loaded if name.startswith("hpcomp.")} <= {
+        "hpcomp.__main__", "hpcomp.cli", "hpcomp.cli.frontpage", "hpcomp.cli.messages", "hpcomp.cli.printing",
+        "hpcomp.cli.signals", "hpcomp.errors", "hpcomp.system", "hpcomp.system.outputs",
+        "hpcomp.system.signals", "hpcomp.system.streams", "hpcomp.version",
+    }  # fmt: skip
 
 
 def test_help_of_a_command_loads_click_alone(desk):
@@ -1201,9 +1175,7 @@ def test_help_of_a_command(name):
         if isinstance(parameter, click.Option):
             assert parameter.help, f"{parameter.name} has no help"
             assert all(name in text for name in shown_names(parameter))
-            assert not any(
-                name in text for name in set(parameter.opts) - set(shown_names(parameter))
-            )
+            assert not any(name in text for name in set(parameter.opts) - set(shown_names(parameter)))
 
 
 def test_help_of_stack_lists_what_can_be_said():
