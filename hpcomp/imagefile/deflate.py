@@ -7,6 +7,8 @@ Both release the GIL. RFC 1950 and 1951.
 from __future__ import annotations
 
 import zlib
+from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 from isal import isal_zlib
@@ -45,10 +47,38 @@ def deflated(data: Bytes) -> bytes:
     return bytes(isal_zlib.compress(data, _EXR_LEVEL))
 
 
-def deflated_segment(data: Bytes, level: int) -> bytes:
+def deflated_segment(data: Bytes, level: int, strategy: int = zlib_ng.Z_DEFAULT_STRATEGY) -> bytes:
     """A part of a raw deflate stream that depends on no other part, at a level of zlib's."""
-    stream = zlib_ng.compressobj(level, zlib_ng.DEFLATED, -zlib.MAX_WBITS, 9)
+    stream = zlib_ng.compressobj(level, zlib_ng.DEFLATED, -zlib.MAX_WBITS, 9, strategy)
     return bytes(stream.compress(data)) + bytes(stream.flush(zlib_ng.Z_FULL_FLUSH))
+
+
+def _segment_by_isal(data: Bytes) -> bytes:
+    stream = isal_zlib.compressobj(1, isal_zlib.DEFLATED, -zlib.MAX_WBITS)
+    return bytes(stream.compress(data)) + bytes(stream.flush(isal_zlib.Z_FULL_FLUSH))
+
+
+#: The ways of `deflated_fast`, the fastest first: isal is no larger than the others where hardly
+#: anything can be packed, runs alone where pictures are smooth or noisy, zlib's level 3 elsewhere.
+_FAST: tuple[Callable[[Bytes], bytes], ...] = (
+    _segment_by_isal,
+    partial(deflated_segment, level=1, strategy=zlib_ng.Z_RLE),
+    partial(deflated_segment, level=3),
+)
+#: What a faster way may cost over the smallest one.
+_ALLOWED = 1.02
+#: So many pieces of the data are tried first, of so many bytes.
+_PIECES, _PIECE_BYTES = 4, 1 << 12
+
+
+def deflated_fast(data: NDArray[np.uint8]) -> bytes:
+    """The same, small and fast: in the way that does best on a sample, pieces from all over."""
+    plain = data.reshape(-1)
+    begins = range(0, plain.size, max(_PIECE_BYTES, -(-plain.size // _PIECES)))
+    sample = np.concatenate([plain[begin : begin + _PIECE_BYTES] for begin in begins])
+    sizes = [len(way(sample)) for way in _FAST]
+    enough = _ALLOWED * min(sizes)
+    return next(way for way, size in zip(_FAST, sizes, strict=True) if size <= enough)(data)
 
 
 class InflateStream:

@@ -27,8 +27,7 @@ EXR_COMPRESSIONS: dict[str, int] = {
     "htj2k32": 32,
 }
 
-#: Those of PNG: `fast` filters every row alike, the others choose a filter for each row and deflate
-#: at that level of zlib.
+#: Those of PNG: a level of zlib, the smaller of the best levels, or what is fast for the picture.
 PNG_COMPRESSIONS = ("fast", "small", *map(str, range(10)))
 
 #: The compressions of each format, its default first.

@@ -23,7 +23,7 @@ Bytes = NDArray[np.uint8]
 #: Whether files can be unpacked here; both formats' loops are for the byte order of most machines.
 UNPACKS = _loops is not None and sys.byteorder == "little"
 
-_SUB, _UP = 1, 2
+_NONE, _SUB, _UP, _AVERAGE, _PAETH = range(5)
 #: EXR's differences of bytes are stored with this added.
 _EXR_BIAS = 128
 
@@ -86,23 +86,45 @@ def png_unfiltered(filtered: Bytes, pixel_bytes: int, above: Bytes, out: Bytes) 
 
 
 def png_filtered(rows: Bytes, pixel_bytes: int) -> Bytes:
-    """Rows (rows, bytes) as differences to the left or to above, for each the smaller in sum.
+    """Rows (rows, bytes) as differences to what a filter makes of their neighbours.
 
-    The first row has nothing above it. Returns (rows, 1 + bytes), the filter's number first.
+    Of the five filters, for each row the one whose differences have the least sum, of equal ones
+    the first; nothing is above the first row. Returns (rows, 1 + bytes), the filter's number first.
     """
+    if _loops is None:
+        return _png_filtered_by_numpy(rows, pixel_bytes)
     filtered = np.empty((rows.shape[0], rows.shape[1] + 1), np.uint8)
-    if _loops is not None:
-        _loops.png_filter(rows=np.ascontiguousarray(rows), pixel_bytes=pixel_bytes, out=filtered)
-        return filtered
-    of_left = rows.copy()
-    of_left[:, pixel_bytes:] -= rows[:, :-pixel_bytes]
-    filtered[:, 0], filtered[:, 1:] = _SUB, of_left
-    of_above = rows[1:] - rows[:-1]
-    above = size_of_differences(of_above) <= size_of_differences(of_left[1:])
-    filtered[1:, 0][above], filtered[1:, 1:][above] = _UP, of_above[above]
+    _loops.png_filter(rows=np.ascontiguousarray(rows), pixel_bytes=pixel_bytes, out=filtered)
     return filtered
 
 
-def size_of_differences(differences: Bytes) -> NDArray[np.int64]:
-    """The sum of |difference| of each row (rows, bytes), differences taken as signed bytes."""
-    return np.minimum(differences, -differences).sum(axis=1, dtype=np.int64)
+def _png_filtered_by_numpy(rows: Bytes, pixel_bytes: int) -> Bytes:
+    best = np.empty((rows.shape[0], rows.shape[1] + 1), np.uint8)
+    for number, row in enumerate(rows):
+        left = np.zeros_like(row)
+        left[pixel_bytes:] = row[:-pixel_bytes]
+        candidates = {_NONE: row, _SUB: row - left}
+        if number:
+            above = rows[number - 1]
+            corner = np.zeros_like(row)
+            corner[pixel_bytes:] = above[:-pixel_bytes]
+            candidates[_UP] = row - above
+            mean = (left.astype(np.uint16) + above) >> 1
+            candidates[_AVERAGE] = row - mean.astype(np.uint8)
+            candidates[_PAETH] = row - _paeth(left, above, corner)
+        sums = {kind: _size_of(differences) for kind, differences in candidates.items()}
+        kind = min(sums, key=sums.__getitem__)
+        best[number, 0], best[number, 1:] = kind, candidates[kind]
+    return best
+
+
+def _paeth(left: Bytes, above: Bytes, corner: Bytes) -> Bytes:
+    """PNG specification, 9.4: of three neighbours the nearest to left + above − corner."""
+    a, b, c = (v.astype(np.int16) for v in (left, above, corner))
+    to_a, to_b, to_c = np.abs(b - c), np.abs(a - c), np.abs(a + b - 2 * c)
+    return np.where((to_a <= to_b) & (to_a <= to_c), left, np.where(to_b <= to_c, above, corner))
+
+
+def _size_of(differences: Bytes) -> int:
+    """The sum of their sizes as signed bytes."""
+    return int(np.minimum(differences, -differences).sum(dtype=np.int64))

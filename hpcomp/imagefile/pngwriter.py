@@ -8,6 +8,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -15,9 +16,17 @@ from ..color.primaries import REC709, Primaries
 from ..color.samples import Samples
 from ..system.sourcedate import source_date
 from . import iccprofile
-from .deflate import LAST_BLOCK, adler32, crc32, deflated, deflated_segment, joined_adler32
+from .deflate import (
+    LAST_BLOCK,
+    adler32,
+    crc32,
+    deflated,
+    deflated_fast,
+    deflated_segment,
+    joined_adler32,
+)
 from .header import PictureHeader
-from .packing import Bytes, png_filtered, size_of_differences
+from .packing import Bytes, png_filtered
 from .pngheader import CICP_PRIMARIES, CICP_SRGB, SIGNATURE
 from .segments import SegmentWriter
 
@@ -25,57 +34,16 @@ _ROWS = 64
 #: Below this a segment costs compression: short windows and a flush.
 _SEGMENT_BYTES = 1 << 18
 
-_NONE, _SUB, _UP, _AVERAGE, _PAETH = range(5)
 #: Colour type RGB with alpha.
 _RGBA = 6
 _LARGEST_NUMBER = 2**31 - 1
 
 
-@dataclass(frozen=True)
-class Compression:
-    """How rows become bytes: the filter of each row, and levels of deflate; the smallest wins."""
-
-    filtered: Callable[[Bytes, int], Bytes]
-    levels: tuple[int, ...]
-
-    def deflated(self, filtered: Bytes) -> bytes:
-        """A segment of the deflate stream."""
-        return min((deflated_segment(filtered, level) for level in self.levels), key=len)
-
-
-def _adaptive(rows: Bytes, pixel_bytes: int) -> Bytes:
-    """Of the five filters, for each row the one with the least sum of absolute differences."""
-    best = np.empty((rows.shape[0], rows.shape[1] + 1), np.uint8)
-    for number, row in enumerate(rows):
-        left = np.zeros_like(row)
-        left[pixel_bytes:] = row[:-pixel_bytes]
-        candidates = {_NONE: row, _SUB: row - left}
-        if number:
-            above = rows[number - 1]
-            corner = np.zeros_like(row)
-            corner[pixel_bytes:] = above[:-pixel_bytes]
-            candidates[_UP] = row - above
-            mean = (left.astype(np.uint16) + above) >> 1
-            candidates[_AVERAGE] = row - mean.astype(np.uint8)
-            candidates[_PAETH] = row - _paeth(left, above, corner)
-        sums = {kind: size_of_differences(c[None])[0] for kind, c in candidates.items()}
-        kind = min(sums, key=sums.__getitem__)
-        best[number, 0], best[number, 1:] = kind, candidates[kind]
-    return best
-
-
-def _paeth(left: Bytes, above: Bytes, corner: Bytes) -> Bytes:
-    """PNG specification, 9.4: of three neighbours the nearest to left + above − corner."""
-    a, b, c = (v.astype(np.int16) for v in (left, above, corner))
-    to_a, to_b, to_c = np.abs(b - c), np.abs(a - c), np.abs(a + b - 2 * c)
-    return np.where((to_a <= to_b) & (to_a <= to_c), left, np.where(to_b <= to_c, above, corner))
-
-
-#: `fast`: the lowest level that stays within 1.2 of libpng's size, on the two cheapest filters.
-COMPRESSIONS: dict[str, Compression] = {
-    "fast": Compression(png_filtered, (3,)),
-    "small": Compression(_adaptive, (8, 9)),
-    **{str(level): Compression(_adaptive, (level,)) for level in range(10)},
+#: How filtered rows become bytes. `small`: the smaller of zlib's best levels.
+COMPRESSIONS: dict[str, Callable[[Bytes], bytes]] = {
+    "fast": deflated_fast,
+    "small": lambda filtered: min((deflated_segment(filtered, n) for n in (8, 9)), key=len),
+    **{str(level): partial(deflated_segment, level=level) for level in range(10)},
 }
 
 
@@ -111,7 +79,7 @@ class PngWriter(SegmentWriter[Segment]):
         row_bytes = width * 4 * depth // 8
         super().__init__(path, label, height, segment_bytes(row_bytes) // row_bytes)
         self._pixel_bytes = 4 * depth // 8
-        self._compression = COMPRESSIONS[compression]
+        self._deflated = COMPRESSIONS[compression]
         self._adler = 1
         self._put_bytes(SIGNATURE)
         self._put(b"IHDR", struct.pack(">IIBBBBB", width, height, depth, _RGBA, 0, 0, 0))
@@ -162,9 +130,8 @@ class PngWriter(SegmentWriter[Segment]):
         if rows.dtype == np.uint16:
             rows = rows.astype(">u2")
         stored = np.ascontiguousarray(rows).view(np.uint8).reshape(len(rows), -1)
-        filtered = self._compression.filtered(stored, self._pixel_bytes)
-        deflated = self._compression.deflated(filtered)
-        return Segment(deflated, adler32(filtered), filtered.size)
+        filtered = png_filtered(stored, self._pixel_bytes)
+        return Segment(self._deflated(filtered), adler32(filtered), filtered.size)
 
     def _append(self, segment: Segment) -> None:
         self._adler = joined_adler32(self._adler, segment.adler, segment.size)

@@ -2,6 +2,8 @@
 
 #include <cstring>
 #include <type_traits>
+#include <utility>
+#include <vector>
 
 #ifdef __SSE2__
 #include <emmintrin.h>
@@ -161,8 +163,16 @@ inline Lanes sum(Lanes a, Lanes b) { return Lanes(LaneBytes(a) + LaneBytes(b)); 
 inline Lanes smaller(Lanes a, Lanes b) { return a < b ? a : b; }
 inline Lanes larger(Lanes a, Lanes b) { return a > b ? a : b; }
 
+struct None {
+    static Lanes pixel(Lanes filtered, Lanes, Lanes, Lanes) { return filtered; }
+};
+
 struct Sub {
     static Lanes pixel(Lanes filtered, Lanes left, Lanes, Lanes) { return sum(filtered, left); }
+};
+
+struct Up {
+    static Lanes pixel(Lanes filtered, Lanes, Lanes up, Lanes) { return sum(filtered, up); }
 };
 
 struct Average {
@@ -248,45 +258,67 @@ bool unfilter(const uint8_t *filtered, int64_t rows, int64_t row_bytes, int pixe
     }
 }
 
-// A byte's distance to 0 as a signed number, 0 to 128.
-inline uint32_t size_of(uint8_t difference) {
-    const uint8_t negated = uint8_t(-difference);
-    return difference < negated ? difference : negated;
+// The differences of so many bytes to what the filter makes of their neighbours, 0 where they have no
+// pixel before them; returns their sizes as signed bytes, 0 to 128.
+template <class Filter, int Count>
+inline Lanes filter_bytes(const uint8_t *row, const uint8_t *above, int before, uint8_t *differences) {
+    const Lanes nothing = {};
+    const Lanes left = before ? lanes_of<Count>(row - before) : nothing;
+    const Lanes corner = before ? lanes_of<Count>(above - before) : nothing;
+    const Lanes predicted = Filter::pixel(nothing, left, lanes_of<Count>(above), corner);
+    const LaneBytes difference = LaneBytes(lanes_of<Count>(row)) - LaneBytes(predicted);
+    const LaneBytes negated = LaneBytes(nothing) - difference;
+    store<Count>(Lanes(difference), differences);
+    return Lanes(difference < negated ? difference : negated);
 }
 
-// Writes the differences to the bytes so far back; returns the sum of their sizes.
-int64_t filter_row(const uint8_t *row, const uint8_t *back, int64_t n, uint8_t *differences) {
+inline int64_t total(Lanes lanes) {
     int64_t sum = 0;
-    for (int64_t begin = 0; begin < n; begin += 4096) {  // sums of so many fit 32 bits, in lanes
-        const int64_t end = begin + 4096 < n ? begin + 4096 : n;
-        uint32_t part = 0;
-        for (int64_t i = begin; i < end; ++i) {
-            differences[i] = uint8_t(row[i] - back[i]);
-            part += size_of(differences[i]);
-        }
-        sum += part;
-    }
+    for (int i = 0; i < 8; ++i) sum += lanes[i];
     return sum;
 }
 
-int64_t filter_left(const uint8_t *row, int64_t row_bytes, int pixel_bytes, uint8_t *differences) {
-    int64_t sum = 0;
-    for (int i = 0; i < pixel_bytes; ++i) sum += size_of(differences[i] = row[i]);
-    return sum + filter_row(row + pixel_bytes, row, row_bytes - pixel_bytes, differences + pixel_bytes);
+// The row filtered; returns the sum of the sizes of its differences.
+template <class Filter>
+int64_t filter_row(const uint8_t *row, const uint8_t *above, int64_t row_bytes, int pixel_bytes,
+                   uint8_t *differences) {
+    int64_t sum = 0, i = 0;
+    for (; i < pixel_bytes; ++i)
+        sum += total(filter_bytes<Filter, 1>(row + i, above + i, 0, differences + i));
+    while (i + 8 <= row_bytes) {
+        Lanes part = {};  // sums of so many sizes fit 16 bits
+        for (int n = 0; n < 255 && i + 8 <= row_bytes; ++n, i += 8)
+            part += filter_bytes<Filter, 8>(row + i, above + i, pixel_bytes, differences + i);
+        sum += total(part);
+    }
+    for (; i < row_bytes; ++i)
+        sum += total(filter_bytes<Filter, 1>(row + i, above + i, pixel_bytes, differences + i));
+    return sum;
 }
+
+// In the order of their numbers.
+using FilterRow = int64_t (*)(const uint8_t *, const uint8_t *, int64_t, int, uint8_t *);
+constexpr FilterRow kFilters[] = {filter_row<None>, filter_row<Sub>, filter_row<Up>, filter_row<Average>,
+                                  filter_row<Paeth>};
 
 void filter(const uint8_t *rows, int64_t count, int64_t row_bytes, int pixel_bytes,
             uint8_t *filtered) {
+    std::vector<uint8_t> scratch(size_t(2 * row_bytes));
     for (int64_t y = 0; y < count; ++y, rows += row_bytes, filtered += row_bytes + 1) {
-        filtered[0] = kSub;
-        const int64_t of_sub = filter_left(rows, row_bytes, pixel_bytes, filtered + 1);
-        if (y == 0) continue;
-        const int64_t of_up = filter_row(rows, rows - row_bytes, row_bytes, filtered + 1);
-        filtered[0] = kUp;
-        if (of_sub < of_up) {
-            filtered[0] = kSub;
-            filter_left(rows, row_bytes, pixel_bytes, filtered + 1);
+        // What is above the first row is not known: those that look there are left out.
+        const uint8_t *above = y ? rows - row_bytes : rows;
+        const int last = y ? kPaeth : kSub;
+        uint8_t *best = scratch.data(), *next = best + row_bytes;
+        int64_t least = kFilters[kNone](rows, above, row_bytes, pixel_bytes, best);
+        filtered[0] = kNone;
+        for (int number = kSub; number <= last && least; ++number) {
+            const int64_t sum = kFilters[number](rows, above, row_bytes, pixel_bytes, next);
+            if (sum >= least) continue;
+            least = sum;
+            filtered[0] = uint8_t(number);
+            std::swap(best, next);
         }
+        std::memcpy(filtered + 1, best, size_t(row_bytes));
     }
 }
 

@@ -32,8 +32,8 @@ struct Packing {
     // that is none. `above`: the row before the first.
     bool (*unfilter)(const uint8_t *filtered, int64_t rows, int64_t row_bytes, int pixel_bytes,
                      const uint8_t *above, uint8_t *out);
-    // Each row filtered against the pixel on the left or the row above, whichever has the smaller
-    // sum of absolute differences. The first row has none above it.
+    // Each row by the filter that has the least sum of absolute differences, of equal ones the first.
+    // Those that look above are not for the first row.
     void (*filter)(const uint8_t *rows, int64_t count, int64_t row_bytes, int pixel_bytes,
                    uint8_t *filtered);
 };

@@ -113,16 +113,21 @@ def paeth(left, up, corner):
 
 
 def naive_png_filtered(rows, pixel_bytes):
-    out = []
-    for y, row in enumerate(rows.tolist()):
-        left = [(byte - (row[i - pixel_bytes] if i >= pixel_bytes else 0)) % 256
-                for i, byte in enumerate(row)]  # fmt: skip
-        best = [1, *left]
-        if y:
-            up = [(byte - over) % 256 for byte, over in zip(row, rows[y - 1].tolist(), strict=True)]
-            if total(up) <= total(left):
-                best = [2, *up]
+    """Of the filters the one whose differences have the least sum, of equal ones the first."""
+    out, above = [], None
+    for row in rows.tolist():
+        best = None
+        for kind in range(5) if above else range(2):
+            differences = []
+            for i, byte in enumerate(row):
+                left = row[i - pixel_bytes] if i >= pixel_bytes else 0
+                corner = above[i - pixel_bytes] if above and i >= pixel_bytes else 0
+                up = above[i] if above else 0
+                differences.append((byte - predicted(kind, left, up, corner)) % 256)
+            if best is None or total(differences) < total(best[1:]):
+                best = [kind, *differences]
         out.append(best)
+        above = row
     return np.array(out, np.uint8)
 
 
@@ -301,33 +306,40 @@ class TestPng:
         nothing = np.zeros(rows.shape[1], np.uint8)
         assert same(png_unfiltered(filtered, pixel_bytes, nothing), rows)
 
+    def test_every_filter_is_the_best_of_some_row(self):
+        """So that those above prove each of them."""
+        y, x = np.mgrid[:3, :60]
+        ramp = np.repeat(3 * x + 5 * y, 3, axis=1)  # the mean of left and above, nearly
+        edges = np.repeat((x // 7 + y) % 2 * 200 + (y > 1) * 40, 3, axis=1)
+        noise, few = random_bytes(9, 60), few_bytes(9, 60)
+        found = set()
+        for rows in (ramp, edges, noise, few, np.tile(noise[:1], (3, 1)), few // 64):
+            rows = np.ascontiguousarray(rows, np.uint8)
+            filtered = packing.png_filtered(rows, 3)
+            assert same(filtered, naive_png_filtered(rows, 3))
+            found |= set(filtered[:, 0].tolist())
+        assert found == set(range(5))
+
     @pytest.mark.parametrize("built", [True, False])
     @pytest.mark.parametrize("pixel_bytes", PIXEL_BYTES)
-    def test_of_equal_sums_the_row_above(self, monkeypatch, pixel_bytes, built):
-        """One pixel below nothing is as far from the left as from above."""
+    def test_of_equal_sums_the_first(self, monkeypatch, pixel_bytes, built):
+        """One pixel below nothing is as far from 0 as from its left and from above."""
         if not built:
             monkeypatch.setattr(packing, "_loops", None)
         rows = random_bytes(2, pixel_bytes)
         rows[0] = 0
-        assert packing.png_filtered(rows, pixel_bytes)[:, 0].tolist() == [1, 2]
+        assert packing.png_filtered(rows, pixel_bytes)[:, 0].tolist() == [0, 0]
 
     @pytest.mark.parametrize("pixel_bytes", PIXEL_BYTES)
     def test_all_of_a_long_row_counts(self, pixel_bytes):
-        """Its beginning decides against its end, whose differences are the smaller above."""
-        width, step = 24 * 1000, 24 * 200
-        rows = np.zeros((3, width), np.uint8)
-        rows[1, :step] = 128  # as large as differences get
-        rows[1:, step:] = np.arange(width - step) // pixel_bytes % 2
-        filtered = packing.png_filtered(rows, pixel_bytes)
-        assert filtered[:, 0].tolist() == [1, 1, 1]
-        assert same(filtered, naive_png_filtered(rows, pixel_bytes))
-        # And the other way round.
-        rows[1] = rows[0] = np.arange(width) % 251
-        rows[1, step:] = 7
-        assert packing.png_filtered(rows, pixel_bytes)[1, 0] == 1
-        rows[1] = rows[0]
-        rows[1, -24:] += 3
+        """Its last pixel decides, whatever so many sums add up to."""
+        width = 24 * 1000
+        rows = np.full((2, width), 128, np.uint8)  # as far from 0 as bytes get
+        rows[:, ::2] = 7
         assert packing.png_filtered(rows, pixel_bytes)[1, 0] == 2
+        for last in (0, 1, 255):
+            rows[1, -1] = last
+            assert same(packing.png_filtered(rows, pixel_bytes), naive_png_filtered(rows, pixel_bytes))
 
     def test_where_the_kernel_was_not_built(self, monkeypatch):
         made = []
