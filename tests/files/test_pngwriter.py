@@ -133,12 +133,10 @@ class TestPixels:
     @pytest.mark.pairwise
     @pytest.mark.parametrize("depth", DTYPES)
     @pytest.mark.parametrize("compression", ["fast", "small", "0", "6"])
-    @pytest.mark.parametrize("size", [(1200, 131), (40, 3500), (30_000, 70)], ids=str)
+    @pytest.mark.parametrize("size", [(1200, 131), (40, 3500), (4000, 70)], ids=str)
     def test_of_many_segments(self, tmp_path, size, compression, depth):
         """Each is filtered and deflated by itself; the last one is short."""
         width, height = size
-        if width > 10_000 and compression != "fast":
-            width = 4000  # the tests' own decoder is slow where filters look to the left
         samples = np.concatenate([noise(width, height // 2, depth),
                                   smooth(width, height - height // 2, depth)])  # fmt: skip
         data = write(tmp_path / "a.png", samples, compression)
