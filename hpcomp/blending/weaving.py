@@ -8,10 +8,10 @@ the terms of a pixel. Bringing colours into gamut is `color.gamut`'s matter.
 from __future__ import annotations
 
 import operator
+import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -34,7 +34,7 @@ WEAVE_SIZES = 2, 1024
 #: falls between the steps of all of them.
 STRIPE_SHIFT = 0.618034
 #: A permutation of its cells' numbers, made by `tests/support/bluenoise.py`.
-TILE_PATH = Path(__file__).parent / "bluenoise.npy"
+TILE_PATH = os.path.join(os.path.dirname(__file__), "bluenoise.npy")
 
 #: The largest phase below 1 that is a float32.
 LARGEST_PHASE = 1 - 2.0**-24

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import gc
 import signal
+import sys
 from importlib import import_module
 from types import FrameType, ModuleType
 
@@ -37,5 +39,13 @@ def _end(signal_number: int, frame: FrameType | None) -> None:
 
 def load(module: str) -> ModuleType:
     """Imports a module of hpcomp, which a signal does not interrupt."""
+    if module in sys.modules:
+        return sys.modules[module]
     with held():
-        return import_module(module)
+        # What is imported stays: the collector need not go through it while it grows, nor later.
+        gc.disable()
+        try:
+            return import_module(module)
+        finally:
+            gc.freeze()
+            gc.enable()

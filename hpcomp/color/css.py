@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import string
 from functools import cache, lru_cache
 
 import numpy as np
@@ -17,6 +16,7 @@ _WITHOUT_ALPHA = {
     "label": "a label is tried at every opacity",
     "tint": "a tint has the alpha of its mask, which opacity= lowers",
 }
+_DIGITS = set("0123456789abcdef")
 #: Digits that a colour may have, and how many of them are not its alpha.
 _RGB_DIGITS = {3: 3, 4: 3, 6: 6, 8: 6}
 #: Codes of red, green and blue, as CSS and others write them, or hexadecimal digits as C does.
@@ -39,7 +39,7 @@ def css_color(text: str, use: str) -> tuple[float, float, float]:
     name, names = text.lower(), _names()
     digits = names.get(name, name).removeprefix("#")
     n_rgb = _RGB_DIGITS.get(len(digits))
-    if n_rgb is None or not set(digits) <= set(string.hexdigits):
+    if n_rgb is None or not set(digits) <= _DIGITS:
         meant = _rgb_like(name) or f"a CSS colour such as #ff8800 or {_name_like(name)}"
         raise SettingError(f"'{text}' is not a colour: write {meant}")
     color, alpha = f"#{digits[:n_rgb]}", digits[n_rgb:]

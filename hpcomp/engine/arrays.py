@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import operator
 from collections.abc import Iterator, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,9 +14,11 @@ from ..blending.terms import color_of, sum_of, term_of
 from ..color.quantization import Losses
 from ..color.samples import Strip
 from ..errors import MismatchError, SettingError
-from ..measures.labels import StackMeasures, blocks_of, measure_settings, measures_of
 from ..options import RuleOptions, stack_rules
 from . import choice as engine
+
+if TYPE_CHECKING:
+    from ..measures.labels import StackMeasures
 
 Array = NDArray[np.floating[Any]]
 
@@ -174,20 +176,22 @@ def stack_measures(
     Errors: `SettingError` for a setting, `MismatchError` for layers of different shapes.
     Source: the measures are this project's; the operator is of Chuang et al. 2009.
     """
+    from ..measures import labels  # only measures need it
+
     own = {
         name: settings.pop(name)
         for name in ("half_step", "achromatic", "foreign_tolerance")
         if name in settings
     }
     rules = stack_rules(len(layers), **settings)
-    checked = measure_settings(rules, **own)
+    checked = labels.measure_settings(rules, **own)
     arrays = _of_one_shape(layers)
     place_of_first = _checked_origin(origin)
-    total = StackMeasures.none(rules, checked)
+    total = labels.StackMeasures.none(rules, checked)
     stacks = [array.reshape(*_rows(arrays[0].shape), 4) for array in arrays]
     for picture in zip(*stacks, strict=True):
-        for place, block in blocks_of(picture, place_of_first):
+        for place, block in labels.blocks_of(picture, place_of_first):
             rgba = np.array(block, np.float32).reshape(-1, place.height, place.width, 4)
             np.clip(rgba[..., 3], 0, 1, out=rgba[..., 3])
-            total += measures_of(rules, checked, rgba, (place.x, place.y))[0]
+            total += labels.measures_of(rules, checked, rgba, (place.x, place.y))[0]
     return total

@@ -7,11 +7,13 @@ import os
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
 from threading import Event, Lock
-from typing import Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from ..errors import SettingError
+
+if TYPE_CHECKING:
+    from concurrent.futures import Future, ThreadPoolExecutor
 
 T = TypeVar("T")
 
@@ -48,6 +50,12 @@ def writes_behind(threads: int) -> int:
     return 2 if threads > 1 else 1
 
 
+def _pool_of(threads: int) -> ThreadPoolExecutor:
+    from concurrent.futures import ThreadPoolExecutor  # which a composite of arrays does not need
+
+    return ThreadPoolExecutor(threads, "hpcomp")
+
+
 def _unchanged(stored: Any) -> Any:
     return stored
 
@@ -59,7 +67,7 @@ class ThreadPipeline(Generic[T]):
         self.threads = threads
         #: Of all threads together, by what they did.
         self.seconds = {"reading": 0.0, "compositing": 0.0, "writing": 0.0}
-        self._pool = ThreadPoolExecutor(threads, "hpcomp") if threads > 1 else None
+        self._pool = _pool_of(threads) if threads > 1 else None
         self._writes: deque[Future[None]] = deque()
         self._last_write: Event | None = None
         self._write_failed = False
@@ -78,6 +86,8 @@ class ThreadPipeline(Generic[T]):
     def go_on(self) -> None:
         """Ends work that nobody waits for any more; long work is to call it now and then."""
         if self._given_up.is_set():
+            from concurrent.futures import CancelledError
+
             raise CancelledError
 
     def read_ahead(
