@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 from .errors import SettingError, unknown_name
+from .records import record
 
 
-@dataclass(frozen=True)
+@record
 class Window:
     """A rectangle of pixels: its top-left pixel and its size; y grows downwards."""
 
@@ -143,7 +143,7 @@ GRAVITIES: dict[str, tuple[float, float]] = {
 }
 
 
-@dataclass(frozen=True)
+@record
 class Placement:
     """Where a layer's display window goes: at (x, y), or that far from where `gravity` puts it."""
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import inspect
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import Field, dataclass, field, fields, replace
+from dataclasses import Field, field, fields, replace
 from functools import cache
 from typing import Any, TypeVar, get_type_hints
 
@@ -47,6 +47,7 @@ from .measures.defaults import (
     check_provenance,
     check_report,
 )
+from .records import record, unique_record
 from .system.memory import MAX_PIXELS, parse_bytes, parse_pixels
 from .system.threads import check_threads
 
@@ -54,7 +55,7 @@ Path = str | os.PathLike[str]
 F = TypeVar("F", bound=Callable[..., Any])
 
 
-@dataclass(frozen=True, eq=False, repr=False)  # half as long to make, at every start
+@unique_record
 class Option:
     """What is said of an option beside its name, its type and its default.
 
@@ -194,7 +195,7 @@ PRESETS: dict[str, dict[str, Any]] = {
 }
 
 
-@dataclass(frozen=True)
+@record
 class RuleOptions(_Group):
     """What decides the colour of a pixel, and what is refused."""
 
@@ -312,7 +313,7 @@ class RuleOptions(_Group):
         )
 
 
-@dataclass(frozen=True)
+@record
 class CanvasOptions(_Group):
     """Which pixels there are."""
 
@@ -333,7 +334,7 @@ class CanvasOptions(_Group):
     overscan: bool = _option(False, "EXR: keep pixels beyond the canvas.")
 
 
-@dataclass(frozen=True)
+@record
 class OutputOptions(_Group):
     """In which form the picture is written, and what is written beside it for make."""
 
@@ -383,7 +384,7 @@ class OutputOptions(_Group):
     )
 
 
-@dataclass(frozen=True)
+@record
 class ReportOptions(_Group):
     """What is said about the picture in files beside it."""
 
@@ -449,7 +450,7 @@ class ReportOptions(_Group):
                 )
 
 
-@dataclass(frozen=True)
+@record
 class ResourceOptions(_Group):
     """What the work may take."""
 
@@ -471,7 +472,7 @@ class ResourceOptions(_Group):
     )
 
 
-@dataclass(frozen=True)
+@record
 class StackOptions:
     """All options of a stack, checked one by one, in the groups that they belong to."""
 
@@ -521,7 +522,7 @@ _GROUPS: dict[str, Callable[..., Any]] = {
 }
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@unique_record
 class NamedOption:
     """One row of `OPTIONS`: an option, its name, group, default, and type as it is written."""
 

@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import unknown_name
+from ..records import record
 from . import addition, weaving
 
 Array = NDArray[np.floating[Any]]
 
 
-@dataclass(frozen=True)
+@record
 class Blending:
     """One row of the table: what is kept of two chroma vectors that add, and of many at once.
 

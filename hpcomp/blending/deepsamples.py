@@ -8,11 +8,12 @@ Interpreting Deep Pixels.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from ..records import record
 
 Ints = NDArray[np.integer[Any]]
 Floats = NDArray[np.floating[Any]]
@@ -28,7 +29,7 @@ PIECES_AT_ONCE = 1 << 15
 _EXACT_COUNTS = 8
 
 
-@dataclass(frozen=True)
+@record
 class DeepSamples:
     """The samples of some pixels, one pixel after the other.
 
@@ -223,7 +224,7 @@ def _by_depth(pixel: Ints, front: Floats, back: Floats, rgba: Floats) -> Ints:
     return order
 
 
-@dataclass(frozen=True)
+@record
 class _Pieces:
     """Pieces of samples, cell by cell, from the front: those of a run coincide.
 

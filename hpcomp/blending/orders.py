@@ -7,11 +7,11 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
 from functools import reduce
 from typing import Any
 
 from ..errors import SettingError, unknown_name
+from ..records import record
 
 #: Reduces terms, bottom first, given how two of them add and how all do at once. A term is anything
 #: that adds: p (2, …), a `terms.Term` or what else.
@@ -38,7 +38,7 @@ def _simultaneous(terms: Any, add: Any, add_all: Any) -> Any:
     return add_all(terms)
 
 
-@dataclass(frozen=True)
+@record
 class Order:
     """A blend order: its name, and how it reduces the terms of a stack.
 

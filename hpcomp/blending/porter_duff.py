@@ -7,7 +7,6 @@ Compositing and Blending Level 1.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from enum import Enum
 from typing import Any, TypeVar
 
@@ -15,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..errors import unknown_name
+from ..records import record
 
 Alpha = NDArray[np.floating[Any]]
 T = TypeVar("T")
@@ -44,7 +44,7 @@ _ZERO, _ONE, _ALPHA, _REST = Factor.ZERO, Factor.ONE, Factor.ALPHA, Factor.REST
 _BEHIND = True
 
 
-@dataclass(frozen=True)
+@record
 class Operator:
     """One row of the table: a name, its aliases, the two factors, and who is in front.
 

@@ -7,7 +7,7 @@ blend order reduces the terms. No pixels here.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from enum import Enum
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from ..color import spaces
 from ..color.primaries import Primaries, converted, to_xyz, working_primaries
 from ..errors import MismatchError, SettingError
+from ..records import record
 from . import addition, blendings, orders, porter_duff
 from . import strength as strengths
 from .blendings import BLENDINGS, Blending
@@ -45,7 +46,7 @@ class Chroma(NamedTuple):
     strength: Array | None = None
 
 
-@dataclass(frozen=True)
+@record
 class StackRules:
     """Everything that decides how the pixels of a stack become one: no pixels, no files.
 

@@ -8,7 +8,6 @@ lies beside them. A strength m ≥ 0 separates the two: it is of degree 1 in the
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -18,6 +17,7 @@ from ..color import spaces
 from ..color.matrices import Matrix
 from ..color.uniformspaces import OklabCoefficients, oklab_chroma
 from ..errors import unknown_name
+from ..records import record
 
 Array = NDArray[np.floating[Any]]
 
@@ -25,7 +25,7 @@ Array = NDArray[np.floating[Any]]
 HALF_CHROMA = 0.04
 
 
-@dataclass(frozen=True)
+@record
 class Strength:
     """One row of the table: what a colour is as strong as.
 

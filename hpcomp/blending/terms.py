@@ -11,7 +11,6 @@ its zeros, its sign and a colour that is alone are exact.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -19,13 +18,14 @@ from numpy.typing import NDArray
 
 from ..color.gamut import bounds_of, colors_within
 from ..color.spaces import Space
+from ..records import record
 from .addition import added
 from .rules import Chroma, StackRules, stacked, sum_of_chromas
 
 Array = NDArray[np.floating[Any]]
 
 
-@dataclass(frozen=True)
+@record
 class Term:
     """A weighted colour, or a sum of such: `luminance` Y (n), `p` (2, n) and `rgb` (3, n).
 
@@ -63,7 +63,7 @@ class Term:
             getattr(self, name)[..., pixels] = array
 
 
-@dataclass(frozen=True)
+@record
 class Terms:
     """The terms of a stack, bottom first, their weights w (n, pixels), and α (pixels) of it all."""
 

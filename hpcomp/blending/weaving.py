@@ -10,7 +10,6 @@ from __future__ import annotations
 import operator
 import os
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
@@ -20,6 +19,7 @@ from numpy.typing import NDArray
 from ..color.planes import cross_and_dot, ratio
 from ..errors import SettingError, unknown_name
 from ..geometry import Window
+from ..records import record
 from .addition import ROUNDING_ANGLE, chroma, competing
 
 Array = NDArray[np.floating[Any]]
@@ -61,7 +61,7 @@ def _noise(x: Ints, y: Ints, size: int) -> Float64:
     return np.asarray((tile[y // size % side, x // size % side] + 0.5) / tile.size)
 
 
-@dataclass(frozen=True)
+@record
 class Pattern:
     """One row of the table: a phase in [0, 1) for each pixel, from x, y and a size."""
 
@@ -86,7 +86,7 @@ def check_weave_size(size: int) -> int:
     return whole
 
 
-@dataclass(frozen=True)
+@record
 class Weave:
     """A pattern of one size, in pixels."""
 
@@ -113,7 +113,7 @@ class Weave:
         return self.phases(column + window.x, row + window.y)
 
 
-@dataclass(frozen=True)
+@record
 class Threads:
     """Which of many terms gives the hue at which phase.
 

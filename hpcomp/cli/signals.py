@@ -42,10 +42,9 @@ def load(module: str) -> ModuleType:
     if module in sys.modules:
         return sys.modules[module]
     with held():
-        # What is imported stays: the collector need not go through it while it grows, nor later.
+        # What is imported stays: the collector need not go through it again and again as it grows.
         gc.disable()
         try:
             return import_module(module)
         finally:
-            gc.freeze()
             gc.enable()

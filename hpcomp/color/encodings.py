@@ -5,9 +5,8 @@ What a curve or a matrix computes lives in `transfer` and `primaries`; no files 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from ..errors import unknown_name
+from ..records import record
 from .primaries import PRIMARIES, REC709, Primaries
 from .transfer import LINEAR, SRGB, Transfer, gamma
 
@@ -16,7 +15,7 @@ from .transfer import LINEAR, SRGB, Transfer, gamma
 ALPHA_MODES = ("straight", "premultiplied", "premultiplied-encoded", "luminance")
 
 
-@dataclass(frozen=True)
+@record
 class ColorEncoding:
     """How stored RGB means light: a transfer curve and primaries."""
 

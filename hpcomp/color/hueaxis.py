@@ -7,12 +7,13 @@ p vectors, in `addition`.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from ..records import record
 
 Array = NDArray[np.floating[Any]]
 
@@ -30,7 +31,7 @@ NAMED_COLORS: dict[str, tuple[float, float, float]] = {
 }
 
 
-@dataclass(frozen=True)
+@record
 class HueAxis:
     """A hue angle, as two maps between colours and numbers.
 

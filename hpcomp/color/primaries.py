@@ -9,7 +9,6 @@ from __future__ import annotations
 import contextlib
 import warnings
 from collections.abc import Iterator
-from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
@@ -17,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import unknown_name
+from ..records import record
 from .matrices import D65_TO_D50, RGB_TO_XYZ, Matrix, inverted, product
 
 Array = NDArray[np.floating[Any]]
@@ -35,7 +35,7 @@ D50_XYZ: XYZ = (0.9642, 1.0, 0.8249)
 SAME_CHROMATICITY = 2e-4
 
 
-@dataclass(frozen=True)
+@record
 class Primaries:
     """The CIE 1931 xy chromaticities of red, green, blue and white."""
 

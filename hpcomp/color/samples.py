@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..geometry import Window
+from ..records import record
 from . import spaces
 from .encodings import LINEAR_REC709, ColorEncoding
 from .primaries import REC709, Primaries, converted, to_xyz
@@ -28,7 +29,7 @@ OUTPUT_TYPES: dict[str, type[np.generic]] = {
 }
 
 
-@dataclass(frozen=True)
+@record
 class Decoding:
     """What stored samples mean: curve and primaries, and how alpha relates to colour.
 
@@ -71,7 +72,7 @@ class Decoding:
 PLAIN = Decoding(LINEAR_REC709, "premultiplied", stored_straight=False)
 
 
-@dataclass(frozen=True)
+@record
 class Strip:
     """Rows of a layer where they lie in a strip of the canvas, transparent around them.
 

@@ -8,7 +8,7 @@ Arrays are planes first: `rgb` is (3, …), `p` is (2, …), so that each compon
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from functools import cache, partial
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import unknown_name
+from ..records import record
 from .hueaxis import HEXAGON, HueAxis, angle_axis
 from .matrices import Matrix
 from .planes import ratio, spread_and_size
@@ -34,7 +35,7 @@ from .uniformspaces import (
 Array = NDArray[np.floating[Any]]
 
 
-@dataclass(frozen=True)
+@record
 class PlaneCoefficients:
     """A space whose maps are linear, as numbers: what the fused engine needs of it.
 
@@ -47,7 +48,7 @@ class PlaneCoefficients:
     from_p: tuple[tuple[float, float], ...]
 
 
-@dataclass(frozen=True)
+@record
 class HslCoefficients:
     """HSL as numbers: p has the direction that `plane` gives it, and another length."""
 
@@ -58,7 +59,7 @@ class HslCoefficients:
 Coefficients = PlaneCoefficients | HslCoefficients | OklabCoefficients | CielabCoefficients
 
 
-@dataclass(frozen=True)
+@record
 class Space:
     """A blending space: two maps between linear premultiplied RGB and (Y, p), of degree 1.
 

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import cache, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import SettingError
+from ..records import record
 
 Float64 = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
+@record
 class Transfer:
     """A transfer curve: stored value (1.0 is white) to linear light.
 

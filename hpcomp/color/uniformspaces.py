@@ -7,12 +7,13 @@ A chromaticity is a vector q = p/Y. Planes first: rgb (3, …), p (2, …).
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..records import record
 from .hueaxis import HEXAGON
 from .matrices import inverted, product
 from .planes import length
@@ -51,7 +52,7 @@ LEAST_LUMINANCE = 0.25
 FARTHEST_XZ = 1e15
 
 
-@dataclass(frozen=True)
+@record
 class OklabCoefficients:
     """Oklab for some primaries, in numbers.
 
@@ -69,7 +70,7 @@ class OklabCoefficients:
     largest: float = np.inf
 
 
-@dataclass(frozen=True)
+@record
 class CielabCoefficients:
     """CIELAB for some primaries, in numbers.
 

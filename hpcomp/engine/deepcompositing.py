@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -20,6 +20,7 @@ from ..color.primaries import REC709, Primaries
 from ..color.quantization import Losses
 from ..color.samples import OUTPUT_TYPES, Samples, Strip
 from ..geometry import Window
+from ..records import record
 from . import choice as engine
 
 #: Samples in one place up to which pixels with as many are stacks, side by side. More are added run
@@ -83,7 +84,7 @@ def _bytes_to_stack(rules: StackRules, op: str, samples: int) -> int:
     return reducing + _layers_at_once(of_height, layers) * LAYER_BYTES
 
 
-@dataclass(frozen=True)
+@record
 class _Form:
     """What samples are made, as an accumulator's `result` takes it."""
 

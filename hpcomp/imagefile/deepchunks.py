@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -16,6 +15,7 @@ from numpy.typing import NDArray
 
 from ..errors import InputError
 from ..geometry import FARTHEST, Window
+from ..records import record
 from .deflate import InflateError, inflated
 from .exrscanlines import headers_of, planes_of, window_of
 from .rawfile import RawFile
@@ -36,7 +36,7 @@ _SIZES = struct.Struct("<3Q")
 _MOST_UNPACKED = {"none": 1, "rle": 64, "zips": 1032}
 
 
-@dataclass(frozen=True)
+@record
 class DeepLayout:
     """Where the samples of a deep part lie.
 
@@ -69,7 +69,7 @@ class DeepLayout:
         return Window(x, y, min(width, window.right - x), min(self.chunk_rows, window.bottom - y))
 
 
-@dataclass(frozen=True)
+@record
 class DeepChunk:
     """One chunk as it is stored: how many samples each of its pixels has, and where the rest is.
 
@@ -82,7 +82,7 @@ class DeepChunk:
     packed_bytes: int
 
 
-@dataclass(frozen=True)
+@record
 class DeepCounts:
     """How many samples an image has: each row (height), and the pixel with most of them.
 

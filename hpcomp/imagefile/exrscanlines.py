@@ -10,7 +10,6 @@ import os
 import struct
 from array import array
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any, BinaryIO
 
 import numpy as np
@@ -20,6 +19,7 @@ from ..color.primaries import Primaries
 from ..color.samples import Samples
 from ..errors import InputError
 from ..geometry import Window
+from ..records import record
 from ..system.sourcedate import EXR_DATE, source_date
 from .deflate import InflateError, deflated, inflated
 from .header import PictureHeader
@@ -59,7 +59,7 @@ TYPES = {"uint": (0, 4), "half": (1, 2), "float": (2, 4)}
 _DTYPES: dict[str, type[np.floating[Any]]] = {"half": np.float16, "float": np.float32}
 
 
-@dataclass(frozen=True)
+@record
 class ExrLayout:
     """Where the samples of a plain EXR lie.
 
@@ -261,7 +261,7 @@ class ExrScanlines:
         return InputError(f"{self._label}: cannot be read, rows {row} to {last}: {what}")
 
 
-@dataclass(frozen=True)
+@record
 class ExrForm:
     """What an EXR holds, linear RGBA in one depth or data planes, how packed, and its header.
 

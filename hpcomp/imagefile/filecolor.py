@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from ..color.encodings import ColorEncoding
+from ..records import record
 
 #: What says it where the file does not.
 DEFAULT = "default"
 
 
-@dataclass(frozen=True)
+@record
 class FileColor:
     """How stored RGB means light: `transfer_from` and `primaries_from` say what told each of them.
 

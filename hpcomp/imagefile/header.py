@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from ..color.primaries import REC709, Primaries
 from ..geometry import Window
+from ..records import record
 
 METRES_PER_INCH = 0.0254
 
 
-@dataclass(frozen=True)
+@record
 class PictureHeader:
     """Of one picture, in either format.
 

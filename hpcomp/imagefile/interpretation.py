@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 
 from ..color.css import css_color
 from ..color.encodings import color_space
 from ..color.samples import Decoding
 from ..errors import InputError, unknown_name
+from ..records import record
 from .forms import NONFINITE_POLICIES
 from .parts import ImageFile, Omission, Part
 
@@ -20,7 +20,7 @@ def check_nonfinite(policy: str) -> str:
     return policy
 
 
-@dataclass(frozen=True)
+@record
 class Interpretation:
     """What is asked of a reader beside its file.
 

@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 
 from ..color.encodings import ColorEncoding
 from ..color.transfer import HDR_TRANSFERS
 from ..errors import InputError, nearest
 from ..geometry import Window
+from ..records import record
 from .exrscanlines import ExrLayout
 from .filecolor import FileColor
 from .pngscanlines import PngLayout
 from .rawfile import Identity
 
 
-@dataclass(frozen=True)
+@record
 class Channel:
     """One channel of a part: its full name, its stored type, its index.
 
@@ -28,7 +29,7 @@ class Channel:
     sampling: tuple[int, int] = (1, 1)
 
 
-@dataclass(frozen=True)
+@record
 class ColorGroup:
     """The channels of one layer name (empty for the default layer) that make up a colour.
 
@@ -41,7 +42,7 @@ class ColorGroup:
     alpha: Channel | None
 
 
-@dataclass(frozen=True)
+@record
 class Omission:
     """What a file holds that is not in the picture, and what to do, in words behind its label.
 
@@ -52,7 +53,7 @@ class Omission:
     answered_by: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True)
+@record
 class Part:
     """One picture of a file, and how it will be read; with a `layout`, without OpenImageIO.
 
@@ -120,7 +121,7 @@ class Part:
         )
 
 
-@dataclass(frozen=True)
+@record
 class ImageFile:
     """What a file is, from its headers alone. `format` is `png` or `exr`."""
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import struct
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import BinaryIO
 
 import numpy as np
@@ -26,6 +26,7 @@ from ..color.transfer import (
     narrow_range,
 )
 from ..errors import InputError
+from ..records import record
 from . import iccprofile
 from .filecolor import DEFAULT, FileColor
 
@@ -78,7 +79,7 @@ _GREY_TYPES = (0, 4)
 _PALETTE = 3
 
 
-@dataclass(frozen=True)
+@record
 class PngHeader:
     """What the chunks around the pixels say.
 
@@ -293,7 +294,7 @@ def _header_of(
     )
 
 
-@dataclass(frozen=True)
+@record
 class _Chunk:
     """A chunk: its data where they are kept, their place in the file, whether its CRC is right."""
 

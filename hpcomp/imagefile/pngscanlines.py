@@ -7,12 +7,12 @@ W3C, Portable Network Graphics (PNG) Specification, third edition.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 
 from ..color.samples import Samples
 from ..errors import InputError
+from ..records import record
 from .deflate import InflateError, InflateStream
 from .packing import UNPACKS, png_unfiltered
 from .pngheader import MOST_PIECES, PngHeader
@@ -28,7 +28,7 @@ _FILTERED_BYTES = 1 << 18
 _INFLATE_BYTES = 1 << 17
 
 
-@dataclass(frozen=True)
+@record
 class PngLayout:
     """Where the rows of a plain PNG lie, and how. `pieces`: offset and size of its image data."""
 

@@ -7,13 +7,13 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 
 from ..color.primaries import REC709, Primaries
 from ..color.samples import Samples
+from ..records import record
 from ..system.sourcedate import source_date
 from . import iccprofile
 from .deflate import (
@@ -47,7 +47,7 @@ COMPRESSIONS: dict[str, Callable[[Bytes], bytes]] = {
 }
 
 
-@dataclass(frozen=True)
+@record
 class Segment:
     """Rows as they stand in the file: deflated, with the checksum and size of what was deflated."""
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -10,6 +10,7 @@ from ..color.primaries import Primaries
 from ..color.samples import Rgba, Samples, Strip, linear_rgba
 from ..errors import MismatchError
 from ..geometry import Window
+from ..records import record
 from .interpretation import AS_STORED, Interpretation
 from .omissions import omissions
 from .parts import ColorGroup, ImageFile, Part
@@ -160,7 +161,7 @@ class LayerReader:
         )
 
 
-@dataclass(frozen=True)
+@record
 class LayerImage:
     """The pixels of a layer: (height, width, 4) float32, linear, premultiplied, Rec. 709 unless
     other primaries were asked for.

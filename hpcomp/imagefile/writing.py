@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, Protocol
 
 from ..color.primaries import OUT_PRIMARIES, PRIMARIES, REC709, Primaries
 from ..color.samples import Samples
 from ..errors import SettingError, unknown_name
+from ..records import record
 from ..system.streams import STDOUT
 from . import exrscanlines, pngwriter
 from .exrscanlines import ExrForm
@@ -40,7 +41,7 @@ def format_of_output(path: str, format: str | None = None) -> str:
     return format
 
 
-@dataclass(frozen=True)
+@record
 class OutputForm:
     """The form of an output file, checked: `format` and what that format allows.
 

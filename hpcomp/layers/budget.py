@@ -6,13 +6,13 @@ Whoever reads layers in strips says what that takes, as a `Budget` for a number 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from itertools import accumulate
 
 from ..errors import MismatchError
 from ..geometry import Window
 from ..imagefile.reading import STRIP_ROWS, LayerReader
 from ..options import ResourceOptions
+from ..records import record
 from ..system.memory import parse_bytes
 from ..system.threads import thread_count
 
@@ -24,7 +24,7 @@ USED_SHARE = 0.85
 RGBA_BYTES, DECODING_BYTES = 16, 180
 
 
-@dataclass(frozen=True)
+@record
 class Budget:
     """What some work takes of memory, in bytes: for each row of a strip, and whatever the strips.
 

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import reduce
 
 from ..errors import MismatchError
 from ..geometry import Placement, Window
 from ..options import CanvasOptions
+from ..records import record
 from ..system.memory import parse_pixels
 
 
-@dataclass(frozen=True)
+@record
 class LayerWindows:
     """The windows of one layer in its file's coordinates, and where it is to go."""
 
@@ -22,7 +22,7 @@ class LayerWindows:
     placement: Placement | None
 
 
-@dataclass(frozen=True)
+@record
 class Canvas:
     """The canvas of a stack, and how far each layer's file coordinates move to it."""
 

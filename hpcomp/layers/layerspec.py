@@ -6,7 +6,6 @@ import contextlib
 import os
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 from ..blending.porter_duff import OPERATOR_NAMES, operator
@@ -15,10 +14,11 @@ from ..color.encodings import ALPHA_MODES, COLOR_INTEROP_IDS, COLOR_SPACES, colo
 from ..errors import SettingError, unknown_name
 from ..geometry import GRAVITIES, Placement, parse_placement
 from ..options import OPTIONS
+from ..records import record
 from ..system.streams import STDIN
 
 
-@dataclass(frozen=True)
+@record
 class LayerSpec:
     """One layer of a stack and its settings; None leaves a setting to the file or to the stack.
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import os
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 
 from ..blending.rules import StackRules
 from ..color.primaries import BOTTOM
@@ -14,6 +13,7 @@ from ..errors import SettingError
 from ..geometry import Window
 from ..imagefile.reading import LayerReader
 from ..options import RuleOptions, StackOptions
+from ..records import record
 from .canvas import LayerWindows, lay_out
 from .layerspec import LayerSpec, check_stdin, layer_spec
 from .notices import Notices, warn_of_layers
@@ -25,7 +25,7 @@ Layer = LayerSpec | str | os.PathLike[str]
 OTHER_OPEN_FILES = 64
 
 
-@dataclass(frozen=True)
+@record
 class PlacedLayer:
     """An open layer and how far its file's coordinates move to the canvas."""
 
@@ -64,7 +64,7 @@ class PlacedLayer:
         return strip
 
 
-@dataclass(frozen=True)
+@record
 class PlacedStack:
     """Open layers, bottom first, on their canvas.
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +15,7 @@ from ..imagefile.deepreading import DeepReader
 from ..imagefile.reading import STRIP_ROWS
 from ..imagefile.writing import OutputForm
 from ..layers.budget import THREAD_BYTES, USED_SHARE
+from ..records import record
 from ..system.threads import reads_ahead, writes_behind
 from .budget import NUMPY_BYTES
 
@@ -32,7 +32,7 @@ POINT_BYTES, VOLUME_BYTES, PIXEL_BYTES = 150, 380, 120
 PIECES_BYTES = 250 * deepsamples.PIECES_AT_ONCE
 
 
-@dataclass(frozen=True)
+@record
 class Need:
     """What flattening takes of memory, and which strips fit into what it is granted; in bytes.
 

@@ -10,7 +10,7 @@ import logging
 import os
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from threading import Lock
 from typing import TYPE_CHECKING, Unpack
@@ -38,6 +38,7 @@ from ..layers.notices import Notices, warn_of_losses, warn_of_outside, warn_of_p
 from ..layers.opening import opened_deep_layer
 from ..layers.placing import Layer, layer_specs
 from ..options import OPTIONS, ResourceOptions, StackOptions, takes_options
+from ..records import record
 from ..system.memory import parse_bytes, parse_pixels
 from ..system.threads import ThreadPipeline, thread_count
 from .deepbudget import Need
@@ -56,7 +57,7 @@ USELESS_SETTINGS = {
 }
 
 
-@dataclass(frozen=True)
+@record
 class PlacedImage:
     """An open deep image and how far its file's coordinates move to the canvas."""
 
@@ -155,7 +156,7 @@ def _requested(
     return PictureRequest.checked(specs, output, options, rules)
 
 
-@dataclass(frozen=True)
+@record
 class FlatteningPlan(PicturePlan):
     """The plan of flattening: the images where they lie, and the strips that memory allows."""
 

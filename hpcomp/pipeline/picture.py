@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from ..blending.rules import StackRules
@@ -17,6 +16,7 @@ from ..imagefile.writing import ImageWriter, OutputForm, format_of_output, open_
 from ..layers.layerspec import LayerSpec
 from ..layers.notices import Notices
 from ..options import StackOptions
+from ..records import record
 from ..system.outputs import check_places, whole_output
 from ..system.streams import STDOUT
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:  # only few pictures need them
     from ..system.depfile import Depfile
 
 
-@dataclass(frozen=True)
+@record
 class StackResult:
     """What `stack` or `flatten` wrote: the file, its windows, what it cannot hold, findings."""
 
@@ -36,7 +36,7 @@ class StackResult:
     findings: StackSummary | None = None
 
 
-@dataclass(frozen=True)
+@record
 class PictureRequest:
     """What is asked of one picture, checked as far as no file has to be touched.
 
@@ -96,7 +96,7 @@ class PictureRequest:
             opened.enter_context(self.depfile.written(read, changed))
 
 
-@dataclass(frozen=True)
+@record
 class PicturePlan:
     """What will be done: inputs are open and placed, and memory is shared out.
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 from bisect import bisect_left, bisect_right
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from functools import partial
 from threading import Lock
 from typing import Any
@@ -18,6 +17,7 @@ from ..engine.contract import Accumulator
 from ..geometry import Window
 from ..imagefile.writing import ImageWriter
 from ..layers.placing import PlacedLayer
+from ..records import record
 from ..system.threads import ThreadPipeline
 from .budget import LAYERS_AT_ONCE
 from .observer import Observer
@@ -26,7 +26,7 @@ from .picture import PicturePlan
 log = logging.getLogger("hpcomp")
 
 
-@dataclass(frozen=True)
+@record
 class StackPlan(PicturePlan):
     """The plan of a stack: its layers, and how many rows are made at a time.
 

@@ -31,7 +31,7 @@ FLOORS = (
     ("color",),
     ("system",),
     ("geometry",),
-    ("errors", "version"),
+    ("errors", "records", "version"),
 )
 FLOOR_OF = {name: number for number, names in enumerate(FLOORS) for name in names}
 
