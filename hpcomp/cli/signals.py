@@ -7,9 +7,16 @@ import signal
 import sys
 from importlib import import_module
 from types import FrameType, ModuleType
+from typing import TYPE_CHECKING
 
 from ..system.signals import ENDING as ENDING_SIGNALS
-from ..system.signals import held
+from ..system.signals import REMINDER, held
+
+if TYPE_CHECKING:
+    from sys import UnraisableHookArgs
+
+#: How soon a signal that was lost comes again.
+_AGAIN_S = 0.01
 
 
 class Terminated(BaseException):
@@ -28,6 +35,7 @@ def install() -> None:
     for number in ENDING:
         if signal.getsignal(number) is not signal.SIG_IGN:  # as `nohup` and `&` want it
             signal.signal(number, _end)
+    sys.unraisablehook = _on_unraisable
     signal.pthread_sigmask(signal.SIG_UNBLOCK, ENDING)
 
 
@@ -35,6 +43,22 @@ def _end(signal_number: int, frame: FrameType | None) -> None:
     for number in ENDING:
         signal.signal(number, signal.SIG_IGN)  # a second Ctrl-C must not stop the cleaning up
     raise ENDING[signal_number]
+
+
+def _on_unraisable(lost: UnraisableHookArgs) -> None:
+    """Raises once more, a little later, what a signal raised where Python cannot raise.
+
+    Callbacks of weak references (imports have them) and finalizers end without a word to their caller.
+    """
+    if lost.exc_type not in ENDING.values():
+        sys.__unraisablehook__(lost)
+        return
+
+    def again(signal_number: int, frame: FrameType | None) -> None:
+        raise lost.exc_type
+
+    signal.signal(REMINDER, again)
+    signal.setitimer(signal.ITIMER_REAL, _AGAIN_S)
 
 
 def load(module: str) -> ModuleType:

@@ -8,11 +8,14 @@ from collections.abc import Iterator
 
 ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
+#: Comes by itself where one of these was lost.
+REMINDER = signal.SIGALRM
+
 
 @contextlib.contextmanager
 def held() -> Iterator[None]:
     """Signals wait until the end of the block: an extension interrupted in its start may abort."""
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, ENDING)
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, (*ENDING, REMINDER))
     try:
         yield
     finally:

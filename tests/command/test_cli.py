@@ -22,12 +22,13 @@ import oracle
 import pngfile
 import pytest
 from command import COMMAND, OLD, PATIENCE_S, Desk, command, hpcomp, shell, snapshot
-from processes import SIGNALS, assert_ended, running, temporary_of
+from processes import INTERRUPTIBLE, SIGNALS, assert_ended, running, temporary_of
 
 import hpcomp as package
 from hpcomp.cli import group
 from hpcomp.cli.frontpage import COMMANDS
 from hpcomp.cli.options import shown_names
+from hpcomp.cli.signals import ENDING
 from hpcomp.errors import EXIT_CODE_MEANINGS
 
 SIZE = 10, 8
@@ -652,6 +653,39 @@ def test_a_signal_waits_for_the_import_of_an_extension(tmp_path):
         [sys.executable, "-c", IMPORTING], cwd=tmp_path, capture_output=True, text=True
     )
     assert (done.returncode, done.stdout, done.stderr) == (0, "True\n", "")
+
+
+LOSING = """
+import os, signal, sys, time, weakref
+from hpcomp.cli import signals
+
+def interrupt(*_):
+    os.kill(os.getpid(), int(sys.argv[2]))
+
+class Thing:
+    if sys.argv[1] == "finalizer":
+        __del__ = interrupt
+
+signals.install()
+thing = Thing()
+callback = weakref.ref(thing, interrupt) if sys.argv[1] == "weakref" else None
+try:
+    del thing
+    time.sleep(60)
+except tuple(signals.ENDING.values()) as error:
+    print(type(error).__name__)
+"""
+
+
+@pytest.mark.parametrize("number", list(ENDING), ids=lambda number: number.name)
+@pytest.mark.parametrize("where", ["finalizer", "weakref"])
+def test_a_signal_is_not_lost_where_nothing_can_be_raised(tmp_path, number, where):
+    """Python drops exceptions of such callbacks: one that a signal raises comes again."""
+    done = subprocess.run(
+        [*INTERRUPTIBLE, sys.executable, "-c", LOSING, where, str(int(number))],
+        cwd=tmp_path, capture_output=True, text=True,
+    )  # fmt: skip
+    assert (done.returncode, done.stdout, done.stderr) == (0, f"{ENDING[number].__name__}\n", "")
 
 
 @pytest.mark.pairwise
