@@ -48,7 +48,7 @@ def _end(signal_number: int, frame: FrameType | None) -> None:
 def _on_unraisable(lost: UnraisableHookArgs) -> None:
     """Raises once more, a little later, what a signal raised where Python cannot raise.
 
-    Callbacks of weak references (imports have them) and finalizers end without a word to their caller.
+    Callbacks of weak references, which imports have, and finalizers end without a word to others.
     """
     if lost.exc_type not in ENDING.values():
         sys.__unraisablehook__(lost)

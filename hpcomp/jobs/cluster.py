@@ -14,6 +14,7 @@ import os
 import re
 import time
 import warnings
+from asyncio import CancelledError
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
@@ -356,6 +357,8 @@ def _root(reason: BaseException) -> str:
     """What was wrong at first, in the words of the system or of Dask."""
     while reason.__cause__ is not None:
         reason = reason.__cause__
+    if isinstance(reason, CancelledError | TimeoutError):  # Dask gave up in the middle of a try
+        return f"no answer in {CONNECTION_S} s"
     return why(reason) if isinstance(reason, OSError) else str(reason) or type(reason).__name__
 
 

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import logging
-from bisect import bisect_left, bisect_right
-from collections.abc import Iterator, Sequence
+from collections.abc import Container, Iterator, Sequence
 from functools import partial
 from threading import Lock
 from typing import Any
@@ -48,17 +47,17 @@ def composite_strips(plan: StackPlan, writer: ImageWriter, observer: Observer) -
     at_once = LAYERS_AT_ONCE
     if rules.reduction is Reduction.ALL_LAYERS or observer.sees_layers:
         at_once = len(layers)
-    arrival, present = rules.arrival, _layers_by_strip(plan)
+    arrival = rules.arrival
     reads = (
         (number, partial(layers[number].read, rows))
-        for rows, there in zip(plan.strips(), present, strict=True)
+        for rows, there in _with_layers(plan)
         for number in arrival
         if number in there
     )
     finishing = _Finishing(plan, writer, observer)
     with ThreadPipeline[Strip](plan.threads) as pipeline:
         arriving = pipeline.read_ahead(reads)
-        for rows, there in zip(plan.strips(), present, strict=True):
+        for rows, there in _with_layers(plan):
             origin = rows.x - plan.canvas.x, rows.y - plan.canvas.y
             accumulator = engine.start(rules, rows.width, rows.height, origin=origin)
             for group in _grouped(arrival, there, at_once):
@@ -76,21 +75,24 @@ def composite_strips(plan: StackPlan, writer: ImageWriter, observer: Observer) -
     return finishing.losses
 
 
-def _layers_by_strip(plan: StackPlan) -> list[set[int]]:
-    """Of each strip the numbers of the layers that have pixels in it."""
-    strips = list(plan.strips())
-    tops, bottoms = [rows.y for rows in strips], [rows.bottom for rows in strips]
-    present: list[set[int]] = [set() for _ in strips]
+def _with_layers(plan: StackPlan) -> Iterator[tuple[Window, Container[int]]]:
+    """The windows of the strips, from the top, each with the numbers of layers that it meets."""
+    coming: list[tuple[int, int, int]] = []  # (row of the top, row below the last one, number)
     for number, layer in enumerate(plan.layers):
         common = layer.window.intersection(plan.window)
         if common is not None:
-            first, end = bisect_right(bottoms, common.y), bisect_left(tops, common.bottom)
-            for there in present[first:end]:
-                there.add(number)
-    return present
+            coming.append((common.y, common.bottom, number))
+    coming.sort(reverse=True)
+    there: dict[int, int] = {}  # the row below the last one of each layer
+    for rows in plan.strips():
+        there = {number: bottom for number, bottom in there.items() if bottom > rows.y}
+        while coming and coming[-1][0] < rows.bottom:
+            _, bottom, number = coming.pop()
+            there[number] = bottom
+        yield rows, there
 
 
-def _grouped(numbers: Sequence[int], there: set[int], size: int) -> Iterator[Sequence[int]]:
+def _grouped(numbers: Sequence[int], there: Container[int], size: int) -> Iterator[Sequence[int]]:
     """Runs of the numbers, each with `size` of those that are there, and others between them."""
     begin, count = 0, 0
     for end, number in enumerate(numbers):

@@ -1108,10 +1108,18 @@ HEAVY = {
     "htpy", "msgspec", "tqdm", "webcolors",
 }  # fmt: skip
 
+#: Of Python's own, those that take long to import.
+SLOW_OF_PYTHON = {"argparse", "asyncio", "datetime", "email", "inspect", "json", "pathlib", "platform",
+    "random", "socket", "ssl", "subprocess", "tempfile", "urllib"}  # fmt: skip
+
+#: Modules of hpcomp that a stack of PNG files imports. Each costs every run of every loop: one more
+#: needs a reason, one that only some runs need is imported by these.
+MODULES_OF_A_STACK = 94
+
 
 def test_help_loads_next_to_nothing(desk):
     loaded = modules(desk, "--help")
-    assert not loaded & {*HEAVY, "click", "dataclasses", "inspect"}
+    assert not loaded & {*HEAVY, *SLOW_OF_PYTHON, "click", "dataclasses"}
     assert {name for name in loaded if name.startswith("hpcomp.")} <= {
         "hpcomp.__main__", "hpcomp.cli", "hpcomp.cli.frontpage", "hpcomp.cli.messages", "hpcomp.cli.printing",
         "hpcomp.cli.signals", "hpcomp.errors", "hpcomp.system", "hpcomp.system.outputs",
@@ -1123,6 +1131,18 @@ def test_help_of_a_command_loads_click_alone(desk):
     loaded = modules(desk, "info", "--help")
     assert "click" in loaded
     assert not loaded & HEAVY
+
+
+def test_a_stack_of_png_files_loads_no_module_more(desk):
+    shutil.copy(desk / "base.png", desk / "second.png")
+    loaded = modules(desk, "stack", "base.png", "second.png", "-o", "out.png")
+    assert loaded & HEAVY == {"numpy"}
+    numpy = subprocess.run(
+        [sys.executable, "-c", "import numpy, sys; print(list(sys.modules))"],
+        capture_output=True, check=True,
+    )  # fmt: skip
+    assert not loaded & SLOW_OF_PYTHON - set(ast.literal_eval(numpy.stdout.decode()))
+    assert len([name for name in loaded if name.startswith("hpcomp.")]) <= MODULES_OF_A_STACK
 
 
 @pytest.mark.parametrize("ending", ENDINGS)

@@ -1,5 +1,6 @@
 """Batches on a Dask cluster: a real scheduler and workers, each a process of its own."""
 
+import asyncio
 import contextlib
 import json
 import os
@@ -470,7 +471,7 @@ def test_a_cluster_without_workers_waits_for_one_and_says_so(desk, machines):
     ("address", "code", "says"),
     [("local:x", 2, "local:x"), ("local:0", 2, "local:0"),
      ("nowhere", 3, "no such file: nowhere: "), ("sched.json", 3, "no such file: sched.json: "),
-     ("tcp://127.0.0.1:9", 3, "tcp://127.0.0.1:9: no Dask scheduler answers there (connection refused)"),
+     ("tcp://127.0.0.1:9", 3, "tcp://127.0.0.1:9: no Dask scheduler answers there ("),
      ("foo://127.0.0.1:9", 3, "(unknown address scheme 'foo'"), ("tls://127.0.0.1:9", 3, "(TLS "),
      ("jobs.json", 3, "jobs.json is no scheduler file"), ("l0.png", 3, "l0.png is no scheduler file")],
 )  # fmt: skip
@@ -481,6 +482,20 @@ def test_what_is_no_cluster(desk, address, code, says):
     assert run.lines[-1].startswith("hpcomp: error: ")
     assert says in run.lines[-1]
     assert outputs(desk) == {}
+
+
+def test_why_no_scheduler_answers(desk):
+    put_jobs(desk, jobs(1))
+    run = desk.run("batch", "jobs.json", "--dask", "tcp://127.0.0.1:9")
+    # On a machine that is very busy, Dask may have begun one more try when its time ends.
+    assert any(f"({reason})" in run.stderr for reason in ("connection refused", "no answer in 10 s"))
+
+
+@pytest.mark.parametrize("error", [TimeoutError(), asyncio.CancelledError()], ids=repr)
+def test_a_try_that_was_given_up_is_told_in_words(error):
+    outer = OSError("Timed out trying to connect")
+    outer.__cause__ = error
+    assert cluster._root(outer) == "no answer in 10 s"
 
 
 def test_without_distributed_the_extra_is_named(desk):

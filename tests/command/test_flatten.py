@@ -245,22 +245,29 @@ def test_little_memory_changes_no_byte(desk, preset):
     assert (desk / "much.exr").read_bytes() == (desk / "little.exr").read_bytes()
 
 
+@pytest.fixture(
+    scope="module",
+    params=[{"tidy": True, "volumes": False}, {"tidy": False}, {"tidy": False, "tile": (64, 128)}],
+    ids=str,
+)
+def tiny_and_large(request, tmp_path_factory):
+    """Files of few and of many samples of one kind."""
+    folder = tmp_path_factory.mktemp("deep")
+    for name, shape in (("tiny.exr", (4, 4, 3)), ("large.exr", (1000, 260, 14))):
+        deepfile.write(folder / name, noise(*shape, **request.param))
+    return folder / "tiny.exr", folder / "large.exr"
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("preset", ["paper", "woven"])
 @pytest.mark.parametrize("threads", [1, 2])
-@pytest.mark.parametrize(
-    "options",
-    [{"tidy": True, "volumes": False}, {"tidy": False}, {"tidy": False, "tile": (64, 128)}],
-    ids=str,
-)
-def test_memory_stays_in_the_budget(tmp_path, threads, options, preset):
-    deepfile.write(tmp_path / "tiny.exr", noise(4, 4, 3, **options))
-    deepfile.write(tmp_path / "a.exr", noise(1000, 260, 14, **options))
+def test_memory_stays_in_the_budget(tmp_path, tiny_and_large, threads, preset):
+    tiny, large = tiny_and_large
     out = ["-o", tmp_path / "out.exr", "--threads", threads, "--preset", preset]
-    base, code, stderr = peak("flatten", tmp_path / "tiny.exr", *out)
+    base, code, stderr = peak("flatten", tiny, *out)
     assert (code, stderr) == (0, "")
     for budget in (64, 160):
-        most, code, stderr = peak("flatten", tmp_path / "a.exr", *out, "--max-memory", f"{budget}M")
+        most, code, stderr = peak("flatten", large, *out, "--max-memory", f"{budget}M")
         assert (code, stderr) == (0, "")
         assert most - base <= budget + NOISE_M
 

@@ -153,6 +153,17 @@ def test_no_memory_is_taken_for_them(desk):
     assert refused < small + 8  # the file itself has 4 MiB
 
 
+def test_rows_that_are_asked_for_take_no_memory_before_they_are_made(desk):
+    desk.put("huge.png", claiming(1, 2**31 - 1))
+    out = ["-o", desk / "out.png", "--max-pixels", "4G"]
+    small, code, _ = peak("stack", desk / "a.png", *out)
+    assert code == 0
+    asked, code, stderr = peak("stack", desk / "huge.png", *out)
+    assert code == 3
+    assert "cannot be read, rows from 0 on" in stderr
+    assert asked < small + 32  # a few strips, and the file
+
+
 def test_info_describes_it_and_says_so(desk):
     desk.put("huge.png", claiming(1, 2**31 - 1))
     exrfile.write(desk / "far.exr", exrfile.planes("RGBA", 2, 2), display=(0, 0, 60000, 60000))

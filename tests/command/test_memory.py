@@ -395,7 +395,7 @@ def reading_peak(files):
 
 @pytest.mark.slow
 @pytest.mark.pairwise
-@pytest.mark.parametrize("threads", [1, 2, 5])
+@pytest.mark.parametrize("threads", [1, 5])
 @pytest.mark.parametrize(
     "name",
     ["tall.png", "tall.exr", "float.exr", "noise.exr", "interlaced.png", "blocks.exr",
