@@ -9,6 +9,7 @@ for people to read.
 from __future__ import annotations
 
 import argparse
+import importlib.util
 import json
 import os
 import signal
@@ -23,8 +24,9 @@ from bench import HPCOMP, ROOT, Task, Work, drawn, oiiotool
 
 SMALL = Work("png512", 3, 512, 512, "png", ())
 LARGE = Work("png4k", 4, 3840, 2160, "png", ())
+TINY = Work("png64", 3, 64, 64, "png", ())
 #: Jobs of each size.
-MANY, FEW = 200, 8
+MANY, FEW, THOUSANDS = 200, 8, 2000
 #: At how many moments a batch is interrupted.
 INTERRUPTIONS = 10
 
@@ -84,8 +86,29 @@ def many_small(runs: int, pictures: Path) -> None:
             },
         )
     batch, ours, theirs = taken.values()
-    show("batch / processes of hpcomp stack", batch, ours, "at most 0.15")
+    show("batch / processes of hpcomp stack", batch, ours, "at most 0.10")
     show("batch / oiiotool", batch, theirs, "at most 0.5")
+
+
+def on_dask(runs: int, pictures: Path) -> None:
+    """The rate of a cluster on this machine, beside that of as many processes."""
+    if importlib.util.find_spec("distributed") is None:
+        print("\nDask: skipped, distributed is not installed")
+        return
+    layers = drawn(TINY, pictures)[: TINY.layers]
+    with tempfile.TemporaryDirectory() as folder:
+        jobs = f"{folder}/jobs.json"
+        put_jobs(jobs, layers, THOUSANDS)
+        command = [HPCOMP, "batch", jobs, "-q"]
+        print(f"\n{THOUSANDS} stacks of {TINY.title()}, load {os.getloadavg()[0]:.1f}", flush=True)
+        processes, cluster = compared(
+            runs,
+            {
+                "-j 2": lambda: seconds([[*command, "-j", "2"]]),
+                "--dask local:2": lambda: seconds([[*command, "--dask", "local:2"]]),
+            },
+        ).values()
+    show("rate on Dask / rate at -j 2", processes, cluster, "at least 0.6")
 
 
 def two_cores(runs: int, pictures: Path) -> None:
@@ -126,6 +149,7 @@ def main() -> None:
     parser.add_argument("--pictures", type=Path, default=ROOT / "build/bench")
     options = parser.parse_args()
     many_small(options.runs, options.pictures)
+    on_dask(options.runs, options.pictures)
     two_cores(options.runs, options.pictures)
     interrupted(options.pictures)
 

@@ -27,6 +27,10 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+#: From nothing to a composited strip of arrays.
+FIRST_STRIP = (
+    "import numpy, hpcomp\nhpcomp.composite([numpy.full((64, 512, 4), 0.5, numpy.float32)] * 2)"
+)
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parent.parent
 PYTHON = sys.executable
@@ -59,7 +63,7 @@ class Work:
 OURS, PEERS = ("hpcomp", "traditional", "top-down"), ("oiiotool", "magick", "vips")
 ALL, GROWTH = ("hpcomp", "traditional", "floor", *PEERS), ("hpcomp", "floor")
 WORKS = [
-    Work("exr4k", 4, 3840, 2160, "exr", ALL),
+    Work("exr4k", 4, 3840, 2160, "exr", (*ALL, "page")),
     Work("png4k", 4, 3840, 2160, "png", ALL),
     Work("png1k", 3, 1024, 576, "png", ALL),
     Work("exr4k-16", 16, 3840, 2160, "exr", GROWTH),
@@ -134,6 +138,7 @@ COMMANDS: dict[str, Callable[[Task], list[str] | str]] = {
     "hpcomp": hpcomp(),
     "traditional": hpcomp("--blending", "traditional"),
     "top-down": hpcomp("--order", "top-down"),
+    "page": lambda task: [*hpcomp()(task), "--report", f"{task.output}.html"],
     "floor": codec_floor,
     "oiiotool": oiiotool,
     "magick": magick,
@@ -144,6 +149,7 @@ TITLES = {
     "hpcomp": "hpcomp, hue-preserving",
     "traditional": "hpcomp, traditional",
     "top-down": "hpcomp, top-down",
+    "page": "hpcomp, with a report page",
     "floor": "codec floor",
     "codecs": "codec floor, start-up apart",
     "oiiotool": "oiiotool",
@@ -189,8 +195,13 @@ def drawn(work: Work, pictures: Path) -> list[str]:
     return [str(files[n % FILES]) for n in range(work.layers)]
 
 
-def run_work(work: Work, runs: int, threads: int, pictures: Path) -> dict[str, Usage]:
-    """The medians of each tool that there is; of the codec floor also without its start-up."""
+def run_work(
+    work: Work, runs: int, threads: int, pictures: Path
+) -> tuple[dict[str, Usage], dict[str, int]]:
+    """The medians of each tool that there is, and the bytes of its file.
+
+    Of the codec floor also the median without its start-up.
+    """
     layers = drawn(work, pictures)
     load = os.getloadavg()[0]
     print(f"\n{work.title()}, {threads} threads, {runs} runs, load {load:.1f}", flush=True)
@@ -215,8 +226,9 @@ def run_work(work: Work, runs: int, threads: int, pictures: Path) -> dict[str, U
                 if tool == "floor":
                     taken["codecs"].append(replace(usage, wall=float(printed)))
         found = {tool: median(usages) for tool, usages in taken.items()}
-        print_work(found, {tool: os.path.getsize(tasks[tool].output) for tool in ready})
-    return found
+        sizes = {tool: os.path.getsize(tasks[tool].output) for tool in ready}
+        print_work(found, sizes)
+    return found, sizes
 
 
 def print_work(found: Mapping[str, Usage], sizes: Mapping[str, int]) -> None:
@@ -244,10 +256,28 @@ def run_kernel(runs: int, threads: int) -> list[dict[str, Any]]:
     return cases
 
 
-def run_help(runs: int) -> Usage:
-    usage = median([measured([HPCOMP, "--help"])[0] for _ in range(4 * runs)])
-    print(f"\nhelp: hpcomp --help takes {usage.wall * 1e3:.0f} ms, {4 * runs} runs")
-    return usage
+def run_starts(runs: int, pictures: Path) -> dict[str, Usage]:
+    """The medians of runs that are over soon, beside the least that there is of their kind."""
+    layers = drawn(Work("png512", 2, 512, 512, "png", ()), pictures)
+    with tempfile.TemporaryDirectory() as folder:
+        stack = [HPCOMP, "stack", *layers, "-o", f"{folder}/out.png"]
+        commands = {
+            "python": [PYTHON, "-c", "pass"],
+            "help": [HPCOMP, "--help"],
+            "numpy": [PYTHON, "-c", "import numpy"],
+            "first strip": [PYTHON, "-c", FIRST_STRIP],
+            "stack": stack,
+            "acescg": [*stack, "--primaries", "acescg"],
+        }
+        taken: dict[str, list[Usage]] = defaultdict(list)
+        for _ in range(4 * runs):
+            for name, command in commands.items():
+                taken[name].append(measured(command)[0])
+    found = {name: median(usages) for name, usages in taken.items()}
+    print(f"\nstart: 2 PNG of 512x512 and less, {4 * runs} runs, load {os.getloadavg()[0]:.1f}")
+    for name, used in found.items():
+        print(f"  {name:28}{used.wall:9.3f}{used.cpu:9.3f}{used.peak / 1e6:9.0f}")
+    return found
 
 
 # --- figures --------------------------------------------------------------------------------------
@@ -259,11 +289,23 @@ class Results:
     def __init__(self) -> None:
         self.works: dict[str, dict[str, Usage]] = {}
         self.kernel: list[dict[str, Any]] = []
-        self.help: dict[str, Usage] = {}
+        self.sizes: dict[str, dict[str, int]] = {}
+        self.starts: dict[str, Usage] = {}
 
     def wall(self, work: str, over: str) -> float:
         """The time of hpcomp, hue-preserving, over that of another tool."""
         return self.works[work]["hpcomp"].wall / self.works[work][over].wall
+
+    def size(self, work: str, over: str) -> float:
+        """The bytes of the file of hpcomp over those of another tool's."""
+        return self.sizes[work]["hpcomp"] / self.sizes[work][over]
+
+    def page(self, work: str) -> float:
+        return self.works[work]["page"].wall / self.works[work]["hpcomp"].wall
+
+    def later(self, start: str, than: str) -> float:
+        """The milliseconds that one start takes more than another."""
+        return (self.starts[start].wall - self.starts[than].wall) * 1e3
 
     def peak(self, *works: str) -> float:
         """The most megabytes that hpcomp took in any of these works."""
@@ -302,7 +344,8 @@ class Results:
             "cores": os.cpu_count(),
             "works": works,
             "kernel": self.kernel,
-            "help": {name: asdict(usage) for name, usage in self.help.items()},
+            "sizes": self.sizes,
+            "starts": {name: asdict(usage) for name, usage in self.starts.items()},
             "figures": [
                 {"figure": name, "value": value, "at_most": limit}
                 for name, limit, value in self.figures()
@@ -320,11 +363,16 @@ class Results:
 FIGURES: list[tuple[str, float, Callable[[Results], float]]] = [
     ("4 EXR of 4K: time / codec floor", 1.10, lambda r: r.wall("exr4k", "codecs")),
     ("4 EXR of 4K: time / oiiotool", 0.45, lambda r: r.wall("exr4k", "oiiotool")),
-    ("4 PNG of 4K: time / oiiotool", 0.20, lambda r: r.wall("png4k", "oiiotool")),
-    ("4 PNG of 4K: time / libvips", 0.75, lambda r: r.wall("png4k", "vips")),
-    ("3 PNG of 1024x576: time / oiiotool", 0.8, lambda r: r.wall("png1k", "oiiotool")),
+    ("4 EXR of 4K: with a report page / without", 1.3, lambda r: r.page("exr4k")),
+    ("4 PNG of 4K: time / oiiotool", 0.16, lambda r: r.wall("png4k", "oiiotool")),
+    ("4 PNG of 4K: time / libvips", 0.6, lambda r: r.wall("png4k", "vips")),
+    ("4 PNG of 4K: size of the file / oiiotool", 1, lambda r: r.size("png4k", "oiiotool")),
+    ("3 PNG of 1024x576: time / oiiotool", 0.5, lambda r: r.wall("png1k", "oiiotool")),
+    ("3 PNG of 1024x576: time / libvips", 2.2, lambda r: r.wall("png1k", "vips")),
     ("kernel, 4 layers: ns per pixel and blend", 2, lambda r: r.nanoseconds(4, "bottom-up")),
-    ("hpcomp --help: ms", 80, lambda r: r.help["help"].wall * 1e3),
+    ("hpcomp --help: ms more than python", 35, lambda r: r.later("help", "python")),
+    ("to the first strip: ms more than numpy", 60, lambda r: r.later("first strip", "numpy")),
+    ("--primaries acescg: ms more than without", 20, lambda r: r.later("acescg", "stack")),
     ("4 layers of 4K: peak MB", 200, lambda r: r.peak("exr4k", "png4k")),
     ("64 EXR of 8K, fold orders: peak MB", 350, lambda r: r.peak("exr8k-64")),
     ("64 layers: time / 4 layers", 17, Results.growth),
@@ -362,16 +410,16 @@ FIGURES: list[tuple[str, float, Callable[[Results], float]]] = [
 
 
 def print_figures(results: Results) -> None:
-    print(f"\n{'figure':48}{'measured':>10}{'at most':>10}  reached")
+    print(f"\n{'figure':56}{'measured':>10}{'at most':>10}  reached")
     for name, limit, value in results.figures():
         if value is None:
-            print(f"{name:48}{'-':>10}{limit:10.4g}  not measured")
+            print(f"{name:56}{'-':>10}{limit:10.4g}  not measured")
         else:
-            print(f"{name:48}{value:10.3g}{limit:10.4g}  {'yes' if value <= limit else 'no'}")
+            print(f"{name:56}{value:10.3g}{limit:10.4g}  {'yes' if value <= limit else 'no'}")
 
 
 def main() -> None:
-    names = [*(work.name for work in WORKS), "kernel", "help"]
+    names = [*(work.name for work in WORKS), "kernel", "start"]
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--only", action="append", choices=names, help="this work, of: %(choices)s")
@@ -385,11 +433,12 @@ def main() -> None:
     for work in WORKS:
         if work.name in wanted:
             runs = -(-options.runs // 5) if work.heavy else options.runs
-            results.works[work.name] = run_work(work, runs, options.threads, options.pictures)
+            measured_work = run_work(work, runs, options.threads, options.pictures)
+            results.works[work.name], results.sizes[work.name] = measured_work
     if "kernel" in wanted:
         results.kernel = run_kernel(options.runs, options.threads)
-    if "help" in wanted:
-        results.help["help"] = run_help(options.runs)
+    if "start" in wanted:
+        results.starts = run_starts(options.runs, options.pictures)
     print_figures(results)
     options.json.parent.mkdir(parents=True, exist_ok=True)
     options.json.write_text(json.dumps(results.to_json(), indent=1) + "\n")
