@@ -10,7 +10,7 @@ from types import FrameType, ModuleType
 from typing import TYPE_CHECKING
 
 from ..system.signals import ENDING as ENDING_SIGNALS
-from ..system.signals import REMINDER, held
+from ..system.signals import HELD, REMINDER, held
 
 if TYPE_CHECKING:
     from sys import UnraisableHookArgs
@@ -36,7 +36,7 @@ def install() -> None:
         if signal.getsignal(number) is not signal.SIG_IGN:  # as `nohup` and `&` want it
             signal.signal(number, _end)
     sys.unraisablehook = _on_unraisable
-    signal.pthread_sigmask(signal.SIG_UNBLOCK, ENDING)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, HELD)
 
 
 def _end(signal_number: int, frame: FrameType | None) -> None:
@@ -50,12 +50,13 @@ def _on_unraisable(lost: UnraisableHookArgs) -> None:
 
     Callbacks of weak references, which imports have, and finalizers end without a word to others.
     """
-    if lost.exc_type not in ENDING.values():
+    ending = lost.exc_type
+    if ending not in ENDING.values():
         sys.__unraisablehook__(lost)
         return
 
     def again(signal_number: int, frame: FrameType | None) -> None:
-        raise lost.exc_type
+        raise ending  # `lost` is not kept: it holds what was being finalized
 
     signal.signal(REMINDER, again)
     signal.setitimer(signal.ITIMER_REAL, _AGAIN_S)

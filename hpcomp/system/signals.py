@@ -11,11 +11,14 @@ ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 #: Comes by itself where one of these was lost.
 REMINDER = signal.SIGALRM
 
+#: All that a run waits with, and lets through.
+HELD = (*ENDING, REMINDER)
+
 
 @contextlib.contextmanager
 def held() -> Iterator[None]:
     """Signals wait until the end of the block: an extension interrupted in its start may abort."""
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, (*ENDING, REMINDER))
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, HELD)
     try:
         yield
     finally:
