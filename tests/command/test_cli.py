@@ -1114,7 +1114,7 @@ SLOW_OF_PYTHON = {"argparse", "asyncio", "datetime", "email", "inspect", "json",
 
 #: Modules of hpcomp that a stack of PNG files imports. Each costs every run of every loop: one more
 #: needs a reason, one that only some runs need is imported by these.
-MODULES_OF_A_STACK = 94
+MODULES_OF_A_STACK = 89
 
 
 def test_help_loads_next_to_nothing(desk):

@@ -684,14 +684,16 @@ def test_a_figure_has_a_limit():
     with pytest.raises(SettingError, match="12 labels at most, not 13"):
         render("svg", hpcomp.palette(many))
     pairs = 12 * 11 // 2
-    figure = pytest.importorskip("hpcomp.report.palettefigure")
+    from hpcomp.report import palettefigure as figure
+
     sheet = figure._Sheet(hpcomp.palette(many[:12]), PaletteLook(figure="profiles"))
     assert sheet.left_out == pairs - figure.MOST_PAIRS
     assert any(f"{sheet.left_out} pairs" in text.get_text() for text in sheet.figure.texts)
 
 
 def test_names_around_a_disc_do_not_touch():
-    figure = pytest.importorskip("hpcomp.report.palettefigure")
+    from hpcomp.report import palettefigure as figure
+
     for angles in ([0, 1, 2, 3], [358, 0.5, 2, 180], [10], [90, 90, 90, 90, 90], []):
         moved = figure._apart(np.array(angles, float), 11.0)
         gaps = np.diff(np.sort(moved % 360), append=np.sort(moved % 360)[:1] + 360)

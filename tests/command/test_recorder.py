@@ -158,8 +158,6 @@ def test_settings_that_change_reports_change_no_picture(here):
 @pytest.mark.parametrize("order", ["bottom-up", "top-down", "simultaneous"])
 def test_neither_threads_nor_strips_show(here, caplog, order):
     caplog.set_level(logging.INFO, "hpcomp")
-    if order == "bottom-up":
-        pytest.importorskip("matplotlib")
     names = [f"r.{ending}" for ending in (ENDINGS if order == "bottom-up" else PLAIN_ENDINGS)]
     asked = {"order": order, "report": names, "provenance": "p.exr", "background": "#405060"}
     hpcomp.stack(LAYERS, "out.exr", threads=1, **asked)
@@ -703,7 +701,6 @@ def test_signal_while_compositing(desk, number, threads):
 
 
 def test_every_format_at_once(desk):
-    pytest.importorskip("matplotlib")
     reports = [word for ending in ENDINGS for word in ("--report", f"r.{ending}")]
     desk.makes("stack", *LAYERS, "-o", "out.png", *reports, "--provenance", "p.exr")
     heads = {"svg": b"<?xml", "png": b"\x89PNG", "pdf": b"%PDF", "html": b"<!doctype html>",

@@ -177,7 +177,6 @@ def test_a_third_result_is_beside_the_others():
 
 
 def test_figure_of_three_results():
-    pytest.importorskip("matplotlib")
     svg = render_stack_report(three_results(), "svg").decode()
     assert "hue-preserving" in svg
 
@@ -194,7 +193,8 @@ def test_text_is_the_measures_and_a_chart_of_each():
 
 
 def test_figure_says_what_became_of_hues(monkeypatch):
-    figure = pytest.importorskip("hpcomp.report.huefigure")
+    from hpcomp.report import huefigure as figure
+
     said = []
     original = figure._Sheet._text
 
@@ -219,7 +219,8 @@ def test_figure_says_what_became_of_hues(monkeypatch):
 
 @pytest.mark.slow
 def test_figure_of_more_layers_than_it_has_room_for(monkeypatch):
-    figure = pytest.importorskip("hpcomp.report.huefigure")
+    from hpcomp.report import huefigure as figure
+
     whole = render_stack_report(REPORT, "png")
     monkeypatch.setattr(figure, "MOST_IMAGES", 4)
     captions = []

@@ -17,24 +17,21 @@ class _Content:
         object.__setattr__(self, "total", sum(self.numbers))
 
 
-@dataclass(frozen=True)
-class Standard(_Content):
-    """As the standard library makes it."""
+def of_the_same_fields(decorator, name):
+    """A class of this module with that name, made by the decorator."""
 
-    name: str
-    size: int = 3
-    numbers: list[int] = field(default_factory=list)
-    hidden: str = field(default="secret", repr=False)
+    class Made(_Content):
+        name: str
+        size: int = 3
+        numbers: list[int] = field(default_factory=list)
+        hidden: str = field(default="secret", repr=False)
+
+    Made.__name__ = Made.__qualname__ = name
+    return decorator(Made)
 
 
-@record
-class Record(_Content):
-    """As this package makes it."""
-
-    name: str
-    size: int = 3
-    numbers: list[int] = field(default_factory=list)
-    hidden: str = field(default="secret", repr=False)
+Standard = of_the_same_fields(dataclass(frozen=True), "Standard")
+Record = of_the_same_fields(record, "Record")
 
 
 @record
