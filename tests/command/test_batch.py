@@ -18,6 +18,7 @@ from pathlib import Path
 import pytest
 from batches import (
     is_making,
+    is_over,
     jobs,
     noise,
     outputs,
@@ -686,7 +687,7 @@ def test_killed_at_any_moment_it_is_resumed_to_the_same_bytes(desk):
             with contextlib.suppress(ProcessLookupError):
                 os.kill(pid, signal.SIGKILL)
         process.wait()
-        until(lambda gone=with_it: not any(Path(f"/proc/{pid}/cmdline").exists() for pid in gone))
+        until(lambda gone=with_it: all(is_over(pid) for pid in gone))
         for name, data in outputs(desk).items():
             assert data in (expected[name], b"old"), name
         run = desk.run("batch", "jobs.json", "--resume")

@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 from batches import (
     is_making,
+    is_over,
     jobs,
     noise,
     outputs,
@@ -540,8 +541,7 @@ def test_a_process_that_has_waited_too_long_is_replaced(desk, monkeypatch):
         (result,) = worker.do_there([task_of(table)], *there)
         assert result["status"] == "made", result
         (process,) = set(processes_of(os.getpid())) - set(before)
-        with open(f"/proc/{process}/stat") as stat:
-            until(lambda file=stat: file.seek(0) or file.read().split(") ")[1][0] == "Z")
+        until(lambda number=process: is_over(number))
     worker.end_there("hpcomp.b.")
     assert processes_of(os.getpid()) == before
     assert len(outputs(desk)) == 2

@@ -10,11 +10,10 @@ import os
 import signal
 import subprocess
 import zlib
-from pathlib import Path
 
 import numpy as np
 import pytest
-from batches import processes_of, temporaries, until
+from batches import is_over, processes_of, temporaries, until
 from command import PATIENCE_S, Desk, command
 
 import hpcomp
@@ -53,15 +52,8 @@ def killed(desk, arguments, stdin=b"", at_least=1):
     for pid in pids:
         os.kill(pid, signal.SIGKILL)
     process.wait()
-    until(lambda: not any(is_alive(pid) for pid in pids))
+    until(lambda: all(is_over(pid) for pid in pids))
     assert temporaries(desk), "it was killed too late, and the test shows nothing"
-
-
-def is_alive(pid):
-    """Whether a process is there, and not only waited for."""
-    with contextlib.suppress(OSError):
-        return bool(Path(f"/proc/{pid}/cmdline").read_bytes())
-    return False
 
 
 RUNS = {

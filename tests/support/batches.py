@@ -62,6 +62,19 @@ def processes_of(pid):
     return sorted(found)
 
 
+def is_over(pid):
+    """Whether a process has ended with all its threads: its files are closed and its locks gone.
+
+    Its command line is empty before that, when its first thread ends. Nobody may have waited for it.
+    """
+    try:
+        threads = os.listdir(f"/proc/{pid}/task")
+        state = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
+    except OSError:
+        return True
+    return threads == [str(pid)] and state in "ZX"
+
+
 def until(condition):
     """Waits for it."""
     end = time.monotonic() + PATIENCE_S
