@@ -81,6 +81,8 @@ def one_line(text: str) -> str:
 
 def printable(text: str) -> str:
     """`text` with what could control a terminal shown as escapes."""
+    if text.isprintable():  # as nearly all is, pages with pictures in them too
+        return text
     return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
 
 

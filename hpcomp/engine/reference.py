@@ -104,7 +104,7 @@ class ReferenceEngine:
             placed = spread(rgba, inside.left, inside.top, strip.width, strip.height)
             layers.append(placed.reshape(strip.height, strip.width, 4))
         summary, provenance = summary_of(
-            strip.rules, strip.settings, layers, strip.bins, strip.origin
+            strip.rules, strip.settings, layers, strip.bins, strip.origin, strip.squares
         )
         return summary, provenance if strip.with_provenance else None
 

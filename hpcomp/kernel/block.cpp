@@ -69,8 +69,8 @@ HPCOMP_INLINE State state_at(const State &state, int64_t pixel) {
             state.phase ? state.phase + pixel : nullptr, state.left, state.top};
 }
 
-HPCOMP_INLINE void show(const Observer &observer, int number, int n, const Light &term, const float *alpha) {
-    observer.term(observer.self, number, n, term.red, term.green, term.blue, alpha, term.luminance, term.p0,
+HPCOMP_INLINE void show(const Observer &observer, int number, int x, int y, int n, const Light &term, const float *alpha) {
+    observer.term(observer.self, number, x, y, n, term.red, term.green, term.blue, alpha, term.luminance, term.p0,
                   term.p1);
 }
 
@@ -95,7 +95,7 @@ void add_layers(const Rules &rules, const Layer *layers, const int *numbers, int
                 Plane alpha, lo, hi;
                 const Light term = planes.light(rules.strength);
                 nonfinite[k] += load_term(rules, layers[k], x, y, n, term, alpha, lo, hi);
-                if (observer) show(*observer, numbers[k], n, term, alpha);
+                if (observer) show(*observer, numbers[k], x, y, n, term, alpha);
                 if (rules.order == Order::kFrontToBack) {
                     under_all(rules, n, term, alpha, lo, hi, at);
                 } else if (numbers[k] == 0) {
@@ -198,7 +198,7 @@ void reduce_layers(const Rules &rules, const Layer *layers, const int *numbers, 
                 float *layer_a = f_a + int64_t(k) * kBlock, *layer_b = f_b + int64_t(k) * kBlock;
                 nonfinite[there[k]] += load_term(rules, layer, x, y, n, term, alpha, lo, hi);
                 there[k] = number;
-                if (observer) show(*observer, number, n, term, alpha);
+                if (observer) show(*observer, number, x, y, n, term, alpha);
                 factors(layer, number, n, alpha, layer_a, layer_b, at.alpha);
                 if (!rules.bounded) continue;
                 if (number == 0) {

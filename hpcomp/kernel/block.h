@@ -165,8 +165,8 @@ struct Losses {
 // Is shown each block of each layer on its way, and then where the block is; `self` is its own.
 struct Observer {
     void *self;
-    // Planes of `n` pixels of layer `number`: its colours and its alpha, its luminance and its p.
-    void (*term)(void *self, int number, int n, const float *red, const float *green, const float *blue,
+    // Planes of `n` pixels of layer `number` from column x of row y on: its colours and alpha, luminance and p.
+    void (*term)(void *self, int number, int x, int y, int n, const float *red, const float *green, const float *blue,
                  const float *alpha, const float *luminance, const float *p0, const float *p1);
     void (*block)(void *self, int x, int y, int n);
 };

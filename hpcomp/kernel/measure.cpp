@@ -132,6 +132,44 @@ template <class Take> HPCOMP_INLINE int count_in_cells(const Block &block, const
     return all;
 }
 
+// The sums of a picture's squares that some pixels of a row are added to.
+struct SquareRow {
+    int64_t *sums;  // of the squares of that row; null where they are not wanted
+    int scale, column;
+
+    // Of picture `number` in row `y` of the strip, from `column` on.
+    static SquareRow of(const Squares &squares, int number, int column, int y) {
+        if (squares.first == nullptr) return {};
+        const int64_t row = int64_t(number) * squares.rows + (squares.top + y) / squares.scale;
+        return {squares.first + row * squares.columns * 4, squares.scale, column};
+    }
+};
+
+// Adds one channel; what is no number counts as nothing.
+template <class Unit, class UnitsOf>
+HPCOMP_INLINE void add_channel(const SquareRow &to, int channel, int n, ConstRow values, UnitsOf units_of_value) {
+    Unit units[kBlock];
+    for (int i = 0; i < n; ++i) units[i] = units_of_value(values[i]);
+    int64_t *sums = to.sums + int64_t(to.column / to.scale) * 4 + channel;
+    for (int begin = 0, end = to.scale - to.column % to.scale; begin < n; begin = end, end += to.scale, sums += 4) {
+        int64_t sum = 0;
+        for (int i = begin; i < (end < n ? end : n); ++i) sum += units[i];
+        *sums += sum;
+    }
+}
+
+// Adds `n` pixels, planes of their colours and alpha; `small`: none is larger than `kSmallAddend`.
+void add_squares(const SquareRow &to, int n, const float *const (&planes)[4], bool small) {
+    if (to.sums == nullptr) return;
+    for (int channel = 0; channel < 4; ++channel) {
+        if (small)
+            add_channel<int32_t>(to, channel, n, planes[channel], [](float v) { return small_units_of(v); });
+        else
+            add_channel<int64_t>(to, channel, n, planes[channel],
+                                 [](float v) { return units_of(within_addends(v == v ? v : 0.0f)); });
+    }
+}
+
 // Adds what the terms are, whatever becomes of them.
 void add_terms(const Block &block, ContributorSums *sums) {
     const float half_step = block.measures.half_step;
@@ -153,7 +191,8 @@ void add_terms(const Block &block, ContributorSums *sums) {
 
 // Measures result `which` of the block; fills `chromatic`.
 void measure_result(const Block &block, int which, ConstRow p0, ConstRow p1, const Support &support,
-                    ResultSums *sums, ContributorSums *contributors, Hues hues, Row chromatic) {
+                    ResultSums *sums, ContributorSums *contributors, Hues hues, const SquareRow &squares,
+                    Row chromatic) {
     const Rules rules = block.rules;
     const float half_step = block.measures.half_step, achromatic = block.measures.achromatic;
     const int n = block.n;
@@ -172,6 +211,7 @@ void measure_result(const Block &block, int which, ConstRow p0, ConstRow p1, con
         of_others[i] = part_of(support.size[i] - support.backing[i], total[i] - support.backing[i]);
     }
     const bool small = add_hues(block.measures, n, red, green, blue, block.alpha, support.size, hues);
+    add_squares(squares, n, {red, green, blue, block.alpha}, small);
     sums->chromatic += count_of(chromatic, n);
     sums->chroma += sum_of(values, n, block.small);
     const int64_t foreigners = count_of(foreign, n);
@@ -377,8 +417,8 @@ Hues hues_of(const Measurer &of, int k) {
 
 // Keeps a block of a layer as a term, and adds its colours to its histogram. Terms come bottom first, or from
 // the front, and lie bottom first.
-void observe_term(void *self, int number, int n, const float *red, const float *green, const float *blue,
-                  const float *alpha, const float *luminance, const float *p0, const float *p1) {
+void observe_term(void *self, int number, int column, int row, int n, const float *red, const float *green,
+                  const float *blue, const float *alpha, const float *luminance, const float *p0, const float *p1) {
     Measurer &of = *static_cast<Measurer *>(self);
     const int turn = of.terms++;
     const Scratch scratch(of, of.rules->order == Order::kFrontToBack ? of.count - 1 - turn : turn);
@@ -397,7 +437,9 @@ void observe_term(void *self, int number, int n, const float *red, const float *
     Plane chroma;
     ConstRow px = p0, py = p1;
     for (int i = 0; i < n; ++i) chroma[i] = length(px[i], py[i]);
-    add_hues(*of.measures, n, red, green, blue, alpha, chroma, hues);
+    const bool small = add_hues(*of.measures, n, red, green, blue, alpha, chroma, hues);
+    const SquareRow squares = SquareRow::of(of.found->squares, of.places[number], column, of.top + row);
+    add_squares(squares, n, {red, green, blue, alpha}, small);
     std::memcpy(x, p0, n * sizeof(float));
     std::memcpy(y, p1, n * sizeof(float));
     std::memcpy(to, luminance, n * sizeof(float));
@@ -456,7 +498,8 @@ void observe_block(void *self, int column, int row, int n) {
         support_of(block, p0, p1, &support);
         measure_result(block, which, p0, p1, support, of.found->results + which,
                        of.found->contributors + int64_t(which) * (measured + 1),
-                       hues_of(of, measured + which), chromatic);
+                       hues_of(of, measured + which),
+                       SquareRow::of(of.found->squares, measured + which, column, of.top + row), chromatic);
     };
     for (int i = 0; i < n; ++i) p0[i] = p1[i] = 0;
     for (int a = 0; a < block.actives; ++a) {

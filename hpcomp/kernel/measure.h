@@ -48,6 +48,14 @@ struct Provenance {
     float *grey, *margin;
 };
 
+// Pictures that are `scale` times smaller: of each square of pixels the sums of red, green, blue and alpha.
+struct Squares {
+    int64_t *first;      // (layers + kResults, rows, columns, 4): the layers', then the results'; null: not wanted
+    int scale;
+    int rows, columns;
+    int top;             // rows of the uppermost squares that lie above the strip
+};
+
 // Which result: those of pixels in which both are the same are counted once, and added afterwards.
 enum Result { kAsBlended, kTraditional, kBothResults, kResults };
 
@@ -61,6 +69,7 @@ struct Measures {
     OtherPixels *others;            // (layers + kResults)
     Provenance provenance;
     Cells cells;
+    Squares squares;
 };
 
 // Floats of scratch for `n` terms of so many layers.

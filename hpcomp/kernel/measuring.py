@@ -13,6 +13,7 @@ from ..measures.labels import (
     ResultMeasures,
     StackMeasures,
 )
+from ..measures.squares import Squares
 from ..measures.summary import StackSummary, StripToMeasure
 from . import _kernel
 
@@ -34,7 +35,7 @@ class StripMeasures:
         if strip.with_provenance:
             self._provenance = made = Provenance.none((strip.height, strip.width))
             planes = _kernel.provenance(layer=made.layer, grey=made.grey, margin=made.margin)
-        settings = strip.settings
+        settings, squares = strip.settings, strip.squares
         tolerance = Angle.of(settings.foreign_tolerance)
         self.sums = _kernel.measures(
             layers=len(self._there),
@@ -49,11 +50,15 @@ class StripMeasures:
             foreign_cosine=float(tolerance.cosine),
             depends_on_order=strip.rules.blending.depends_on_order,
             provenance=planes,
+            square_scale=0 if squares is None else squares.scale,
+            square_top=0 if squares is None else squares.top,
         )
 
     def summary(self) -> tuple[StackSummary, Provenance | None]:
         """The summary so far, and the provenance planes (height, width) where they are wanted."""
         strip, sums = self._strip, self.sums
+        if strip.squares is not None:
+            self._add_squares(strip.squares)
         measures = StackMeasures(
             strip.settings,
             result=self._result_measures(sums.result),
@@ -74,6 +79,12 @@ class StripMeasures:
             traditional=self._histogram(sums.traditional_hues),
         )
         return summary, self._provenance
+
+    def _add_squares(self, squares: Squares) -> None:
+        for place, number in enumerate(self._there):
+            squares.sums[number] = self.sums.layer_squares(number=place)
+        squares.sums["result"] = self.sums.result_squares()
+        squares.sums["traditional"] = self.sums.traditional_squares()
 
     def _result_measures(self, sums: _kernel.ResultSums) -> ResultMeasures:
         layers = [_NOTHING_FOUND] * len(self._strip.strips)

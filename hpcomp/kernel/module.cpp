@@ -352,6 +352,7 @@ struct StripMeasures {
     std::vector<Cell> cells;
     std::vector<int64_t> hues;
     std::vector<OtherPixels> others;
+    std::vector<int64_t> squares;
     std::optional<ProvenancePlanes> provenance;
 };
 
@@ -361,7 +362,8 @@ int within_cell(int64_t coordinate) { return int((coordinate % kCell + kCell) % 
 std::unique_ptr<StripMeasures> make_measures(int64_t layers, int64_t width, int64_t height, int64_t left,
                                              int64_t top, int64_t bins, float half_step, float achromatic,
                                              float foreign_sine, float foreign_cosine, bool depends_on_order,
-                                             const ProvenancePlanes *provenance) {
+                                             const ProvenancePlanes *provenance, int64_t square_scale,
+                                             int64_t square_top) {
     if (layers < 1 || layers > (1 << 20)) throw nb::value_error("a stack needs layers");
     if (checked_coordinate(width) < 1 || checked_coordinate(height) < 1)
         throw nb::value_error("a strip needs pixels");
@@ -384,6 +386,15 @@ std::unique_ptr<StripMeasures> make_measures(int64_t layers, int64_t width, int6
     made->found.contributors = made->contributors.data();
     made->found.hues = made->hues.data();
     made->found.others = made->others.data();
+    if (square_scale > 0) {
+        Squares &squares = made->found.squares;
+        if (square_top < 0 || square_top >= checked_coordinate(square_scale)) throw nb::value_error("squares begin above");
+        squares.scale = int(square_scale), squares.top = int(square_top);
+        squares.rows = int((square_top + height - 1) / square_scale) + 1;
+        squares.columns = int((width - 1) / square_scale) + 1;
+        made->squares.resize(size_t(layers + kResults) * size_t(squares.rows) * size_t(squares.columns) * 4);
+        squares.first = made->squares.data();
+    }
     if (provenance) {
         made->found.provenance = {checked_plane(provenance->layer, height, width),
                                   checked_plane(provenance->grey, height, width),
@@ -436,6 +447,33 @@ template <std::vector<int64_t> HueSums::*kColumn> Column column_of(HueSums &of) 
 }
 
 Columns rgb_of(HueSums &of) { return Columns(of.rgb.data(), {of.count.size(), 3}); }
+
+using SquareSums = nb::ndarray<nb::numpy, int64_t, nb::ndim<3>>;
+
+const Squares &checked_squares(const StripMeasures &of) {
+    if (of.found.squares.first == nullptr) throw nb::value_error("no squares were asked for");
+    return of.found.squares;
+}
+
+template <Result kWhich> SquareSums squares_of_result(const StripMeasures &of) {
+    const Squares &squares = checked_squares(of);
+    const size_t rows = size_t(squares.rows), columns = size_t(squares.columns), size = rows * columns * 4;
+    const int64_t *const own = squares.first + size_t(of.layers + kWhich) * size;
+    const int64_t *const both = squares.first + size_t(of.layers + kBothResults) * size;
+    auto sums = std::make_unique<std::vector<int64_t>>(own, own + size);
+    for (size_t i = 0; i < size; ++i) (*sums)[i] += both[i];
+    int64_t *const first = sums->data();
+    const nb::capsule owner(sums.release(), [](void *held) noexcept { delete static_cast<std::vector<int64_t> *>(held); });
+    return SquareSums(first, {rows, columns, 4}, owner);
+}
+
+// The memory of the measures themselves, which it keeps alive.
+SquareSums squares_of_layer(StripMeasures &of, int64_t number) {
+    const Squares &squares = checked_squares(of);
+    if (number < 0 || number >= of.layers) throw nb::value_error("no layer has that number");
+    const size_t rows = size_t(squares.rows), columns = size_t(squares.columns);
+    return SquareSums(squares.first + size_t(number) * rows * columns * 4, {rows, columns, 4}, nb::find(of));
+}
 
 // One result, its contributors being the layers, bottom first, and then the background.
 struct ResultFound {
@@ -874,10 +912,13 @@ NB_MODULE(_kernel, module) {
         .def_prop_ro("traditional", &found_of<kTraditional>)
         .def("layer_hues", &hues_of_layer, nb::kw_only(), "number"_a)
         .def_prop_ro("result_hues", &hues_of_result<kAsBlended>)
-        .def_prop_ro("traditional_hues", &hues_of_result<kTraditional>);
+        .def_prop_ro("traditional_hues", &hues_of_result<kTraditional>)
+        .def("layer_squares", &squares_of_layer, nb::kw_only(), "number"_a)
+        .def("result_squares", &squares_of_result<kAsBlended>)
+        .def("traditional_squares", &squares_of_result<kTraditional>);
     module.def("measures", &make_measures, nb::kw_only(), "layers"_a, "width"_a, "height"_a, "left"_a,
                "top"_a, "bins"_a, "half_step"_a, "achromatic"_a, "foreign_sine"_a, "foreign_cosine"_a,
-               "depends_on_order"_a, "provenance"_a.none());
+               "depends_on_order"_a, "provenance"_a.none(), "square_scale"_a = 0, "square_top"_a = 0);
     module.def("keep_runs", &keep_runs, nb::kw_only(), "rules"_a, "counts"_a.noconvert(), "p"_a.noconvert(),
                "strengths"_a.none().noconvert(), "kept"_a.noconvert());
     module.def("measure", &measure, nb::kw_only(), "rules"_a, "layers"_a, "measures"_a, "level"_a = "");

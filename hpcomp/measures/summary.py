@@ -6,9 +6,8 @@ Found in numpy here, of pixels that are decoded and placed; which engine finds t
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +18,7 @@ from ..geometry import Window
 from .defaults import DEFAULT_BINS
 from .histogram import HueHistogram, hue_histogram
 from .labels import (
+    RESULTS,
     MeasureSettings,
     Provenance,
     StackMeasures,
@@ -30,6 +30,7 @@ from .labels import (
     summed,
     unwoven_of,
 )
+from .squares import Picture, Squares
 
 Array = NDArray[np.float32]
 
@@ -69,13 +70,29 @@ def summary_of(
     layers: Sequence[Array],
     bins: int = DEFAULT_BINS,
     origin: tuple[int, int] = (0, 0),
+    squares: Squares | None = None,
 ) -> tuple[StackSummary, Provenance]:
-    """The summary of some rows of a picture, and their provenance; arguments as `measures_of`."""
+    """The summary of some rows of a picture, and their provenance; arguments as `measures_of`.
+
+    `squares`: what all layers and results are added to.
+    """
     measures, provenance = measures_of(rules, settings, layers, origin)
     total = StackSummary.none(rules, settings, bins)
     for place, block in blocks_of(layers, origin):
+        inside = place.moved(-origin[0], -origin[1])
+        counted: dict[Picture, HueHistogram] = {}
         with np.errstate(all="ignore"):  # NaN and Inf are counted, not judged
-            total += _histograms(rules, settings, block, bins, place)
+            for picture, rgba in _pictures(rules, block, place):
+                counted[picture] = hue_histogram(
+                    rgba, bins=bins, space=rules.space, achromatic=settings.achromatic
+                )
+                if squares is not None:
+                    squares.add(picture, rgba.reshape(place.height, place.width, 4), inside)
+        total += StackSummary(
+            StackMeasures.none(rules, settings),
+            tuple(counted[number] for number in range(len(layers))),
+            **{name: counted[name] for name in RESULTS if name in counted},
+        )
     return replace(total, measures=measures), provenance
 
 
@@ -84,7 +101,8 @@ class StripToMeasure:
     """All layers of a strip, bottom first, and what is to be found of them.
 
     `width`, `height`: of the strip, in pixels. `with_provenance`: whether that is wanted.
-    `origin`: x and y of its first pixel, counted from the canvas' corner.
+    `origin`: x and y of its first pixel, counted from the canvas' corner. `squares`: of this strip,
+    what its layers and results are added to; None where no small pictures are wanted.
     """
 
     rules: StackRules
@@ -95,33 +113,23 @@ class StripToMeasure:
     height: int
     with_provenance: bool = False
     origin: tuple[int, int] = (0, 0)
+    squares: Squares | None = None
 
 
-def _histograms(
-    rules: StackRules,
-    settings: MeasureSettings,
-    layers: Sequence[Array],
-    bins: int,
-    place: Window,
-) -> StackSummary:
-    def counted(rgba: Any) -> HueHistogram:
-        return hue_histogram(rgba, bins=bins, space=rules.space, achromatic=settings.achromatic)
-
+def _pictures(
+    rules: StackRules, layers: Sequence[Array], place: Window
+) -> Iterator[tuple[Picture, Array]]:
+    """The layers at their opacities, by number, and the results by name: (pixels, 4) each."""
     pixels = contributors(rules, layers, place)
-    opacities = np.array(rules.opacities, np.float32)
     alpha = pixels.alpha[pixels.known]
     ways = [pixels.reduced(rules), pixels.plain(rules)]
     if (unwoven := unwoven_of(rules)) is not None:
         ways.append(pixels.reduced(unwoven))
-    results = []
-    for p in ways:
+    for number, (rgba, opacity) in enumerate(zip(layers, rules.opacities, strict=True)):
+        yield number, rgba * np.float32(opacity)
+    for name, p in zip(RESULTS, ways, strict=False):
         # What cannot be measured is still a pixel of the picture.
-        rgba = np.full((len(pixels.known), 4), np.nan, np.float32)
+        colors = np.full((len(pixels.known), 4), np.nan, np.float32)
         rgb = rules.space.inverse(summed(pixels.luminance), p)
-        rgba[pixels.known] = np.concatenate([rgb, alpha[None]]).T
-        results.append(counted(rgba))
-    return StackSummary(
-        StackMeasures.none(rules, settings),
-        tuple(counted(rgba * opacity) for rgba, opacity in zip(layers, opacities, strict=True)),
-        *results,
-    )
+        colors[pixels.known] = np.concatenate([rgb, alpha[None]]).T
+        yield name, colors

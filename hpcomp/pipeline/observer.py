@@ -36,8 +36,11 @@ class Observer(Protocol):
     def place(self, opened: contextlib.ExitStack) -> None:
         """Gives each of its files a place; they appear when `opened` closes without an error."""
 
-    def memory(self, layers: int, window: Window) -> tuple[int, int]:
-        """Bytes that it takes for each pixel of a strip, and whatever the strips."""
+    def memory(self, rules: StackRules, met: int, window: Window) -> tuple[int, int]:
+        """Bytes that it takes for each pixel of a strip, and whatever the strips.
+
+        `met`: layers that meet in a strip.
+        """
 
     def watch(
         self, rules: StackRules, window: Window, canvas: Window, pixel_aspect: float
@@ -75,7 +78,7 @@ class NobodyWatches:
     def place(self, opened: contextlib.ExitStack) -> None:
         pass
 
-    def memory(self, layers: int, window: Window) -> tuple[int, int]:
+    def memory(self, rules: StackRules, met: int, window: Window) -> tuple[int, int]:
         return 0, 0
 
     def watch(

@@ -105,8 +105,7 @@ def _planned(
         stacked.rules,
         request.form,
         request.options.resources,
-        observer.memory(len(readers), window),
-        observer.cell,
+        observer,
     )
     opened.enter_context(codec_threads([*readers, request.form], reading=1, writing=threads))
     return StackPlan(

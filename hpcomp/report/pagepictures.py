@@ -37,7 +37,7 @@ def png_bytes(pixels: Pixels) -> bytes:
     except OSError as reason:
         raise OutputError(f"pictures of the report cannot be written: {why(reason)}") from None
     try:
-        form = OutputForm.checked("png", compression="small")
+        form = OutputForm.checked("png", compression="fast")
         writer = open_writer(path, form, PictureHeader(window, window), "a picture of the report")
         try:
             writer.write(writer.prepare(0, pixels))

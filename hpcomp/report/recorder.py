@@ -7,16 +7,14 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..blending.rules import StackRules
 from ..color.primaries import REC709
 from ..color.quantization import Losses
-from ..color.samples import Rgba, Samples, Strip, encode
+from ..color.samples import Samples, Strip
 from ..engine import choice as engine
 from ..engine.contract import Accumulator
 from ..geometry import Window
@@ -30,17 +28,17 @@ from ..measures.labels import (
     half_step,
     measure_settings,
 )
+from ..measures.squares import Squares
 from ..measures.summary import StackSummary, StripToMeasure
 from ..options import StackOptions
 from ..system.outputs import whole_output, write_bytes
 from ..version import __version__
 from .hueformats import report_format
+from .smallpictures import SmallPictures
 from .stackreport import (
-    Preview,
     StackReport,
     load_stack_renderer,
     needs_preview,
-    preview_scale,
     render_stack_report,
 )
 
@@ -56,24 +54,12 @@ _BLOCK_BYTES = 1 << 19
 
 @dataclass(frozen=True)
 class SeenStrip:
-    """What is kept of one strip: its measures, and planes (height, width) where they are wanted.
+    """What is kept of one strip: its measures, and planes (height, width) where they are wanted."""
 
-    `top`: its first row, from that of the window. `pictures`: RGBA of those of `compared`.
-    """
-
-    top: int
+    rows: Window
     summary: StackSummary
     provenance: Provenance | None
-    pictures: list[Rgba] | None
-
-
-#: The blendings of which a page always shows a picture.
-COMPARED = ("traditional", "hue-preserving", "woven")
-
-
-def compared(rules: StackRules) -> dict[str, StackRules]:
-    """The pictures that a page compares, by the names of their blendings."""
-    return {name: rules.blended(name) for name in dict.fromkeys((*COMPARED, rules.blending.name))}
+    squares: Squares | None
 
 
 class Recorder:
@@ -113,8 +99,7 @@ class Recorder:
         self._bins = DEFAULT_BINS if asked.bins is None else asked.bins
         weights = asked.energy_weights
         self._energy_weights = ENERGY_WEIGHTS if weights is None else check_energy_weights(weights)
-        with_preview = any(needs_preview(name) for _, name in self._reports)
-        self._n_pictures = len(compared(rules)) if with_preview else 0
+        self._with_preview = any(needs_preview(name) for _, name in self._reports)
         self.outputs = [path for path, _ in self._reports]
         if asked.provenance is not None:
             self.outputs.append(asked.provenance)
@@ -129,15 +114,12 @@ class Recorder:
                 whole_output(path, clobber=asked.clobber, if_changed=asked.write_if_changed)
             )
 
-    def memory(self, layers: int, window: Window) -> tuple[int, int]:
-        """Bytes for each pixel of a strip, and for the whole."""
-        preview = _PreviewSums.memory(window, self._n_pictures)
-        histograms = (layers + 2) * (self._bins + 1) * _BIN_BYTES * _FINDINGS_HELD
-        cells = -(-(layers + 1) * _CELL_BYTES // CELL**2)
-        return (
-            24 + cells + 32 * self._n_pictures,
-            histograms + (layers + 4) * _BLOCK_BYTES + preview,
-        )
+    def memory(self, rules: StackRules, met: int, window: Window) -> tuple[int, int]:
+        """Bytes for each pixel of a strip in which so many layers meet, and for the whole."""
+        small = SmallPictures.memory(rules, met, window) if self._with_preview else (0, 0)
+        histograms = (len(rules.operators) + 2) * (self._bins + 1) * _BIN_BYTES * _FINDINGS_HELD
+        cells = -(-(met + 1) * _CELL_BYTES // CELL**2)
+        return 24 + cells + small[0], histograms + (met + 4) * _BLOCK_BYTES + small[1]
 
     @contextlib.contextmanager
     def watch(
@@ -146,7 +128,7 @@ class Recorder:
         """Around the pass over the strips of `window`."""
         self._rules, self._window, self._canvas = rules, window, canvas
         self.summary = StackSummary.none(rules, self._settings, self._bins)
-        self._preview = _PreviewSums(window, rules) if self._n_pictures else None
+        self._pictures = SmallPictures(rules, window, canvas) if self._with_preview else None
         self._provenance = None
         if self._provenance_path is not None:
             header = PictureHeader(window, canvas, pixel_aspect=pixel_aspect)
@@ -171,7 +153,7 @@ class Recorder:
 
         `strips`: of all layers, bottom first.
         """
-        origin = rows.x - self._canvas.x, rows.y - self._canvas.y
+        squares = None if self._pictures is None else self._pictures.squares(rows)
         strip = StripToMeasure(
             self._rules,
             self._settings,
@@ -179,20 +161,14 @@ class Recorder:
             strips,
             rows.width,
             rows.height,
-            with_provenance=self._provenance is not None or self._preview is not None,
-            origin=origin,
+            with_provenance=self._provenance is not None or squares is not None,
+            origin=(rows.x - self._canvas.x, rows.y - self._canvas.y),
+            squares=squares,
         )
         samples, summary, provenance = engine.result_and_summary(
             accumulator, form.kind, losses, form.gamut, strip
         )
-        pictures = None
-        if self._preview is not None:
-            scale = self._preview.scale
-            pictures = [
-                _composited(_at_scale(shown, scale), strips, rows, origin)
-                for shown in compared(self._rules).values()
-            ]
-        return samples, SeenStrip(rows.y - self._window.y, summary, provenance, pictures)
+        return samples, SeenStrip(rows, summary, provenance, squares)
 
     def write(self, seen: SeenStrip) -> None:
         """Adds a strip to those above it. Errors: `OutputError`."""
@@ -205,9 +181,9 @@ class Recorder:
             # The last plane of the file comes first; numbers keep their bits.
             planes[..., 0], planes[..., 2] = seen.provenance.margin, seen.provenance.grey
             planes.view(np.uint32)[..., 1] = seen.provenance.layer
-            self._provenance.write(self._provenance.prepare(seen.top, planes))
-        if self._preview is not None and seen.pictures is not None:
-            self._preview.add(seen.top, seen.pictures, seen.provenance.layer)
+            self._provenance.write(self._provenance.prepare(seen.rows.y - self._window.y, planes))
+        if self._pictures is not None and seen.squares is not None:
+            self._pictures.add(seen.rows, seen.squares, seen.provenance.layer)
 
     def publish(self) -> None:
         """Completes the provenance, and writes the reports. Errors: `OutputError`."""
@@ -223,7 +199,7 @@ class Recorder:
             self._labels,
             self.summary,
             self._energy_weights,
-            None if self._preview is None else self._preview.result(),
+            None if self._pictures is None else self._pictures.result(),
         )
         for path, name in self._reports:
             content = render_stack_report(report, name)
@@ -248,60 +224,3 @@ class Recorder:
             "output": f"{form.format.upper()}, {form.depth}, {form.compression}"
             + ("" if form.gamut == REC709 else f", {form.gamut.name}"),
         }
-
-
-def _at_scale(rules: StackRules, scale: int) -> StackRules:
-    """The rules for a picture that becomes so many times smaller: its weave shall be seen there."""
-    return replace(rules, weave=replace(rules.weave, size=rules.weave.size * scale))
-
-
-def _composited(
-    rules: StackRules, strips: Sequence[Strip], rows: Window, origin: tuple[int, int]
-) -> Rgba:
-    accumulator = engine.start(rules, rows.width, rows.height, origin=origin)
-    accumulator.add(rules.arrival, [strips[number] for number in rules.arrival])
-    return accumulator.result("float", Losses())
-
-
-class _PreviewSums:
-    """All pictures as means of squares of pixels, and one pixel of each square's provenance.
-
-    Rows are added one by one, so that the sums do not depend on how they arrive.
-    """
-
-    def __init__(self, window: Window, rules: StackRules) -> None:
-        self._rules = rules
-        self.scale = preview_scale(window.width, window.height)
-        shape = -(-window.height // self.scale), -(-window.width // self.scale)
-        self._sums = {name: np.zeros((*shape, 4)) for name in compared(rules)}
-        self._layer = np.zeros(shape, np.uint32)
-        columns = np.arange(0, window.width, self.scale)
-        self._columns = columns
-        widths = np.diff(np.append(columns, window.width))
-        heights = np.diff(np.append(np.arange(0, window.height, self.scale), window.height))
-        self._areas = (heights[:, None] * widths)[..., None]
-
-    @staticmethod
-    def memory(window: Window, pictures: int) -> int:
-        scale = preview_scale(window.width, window.height)
-        return (window.width // scale + 1) * (window.height // scale + 1) * pictures * 4 * 8 * 2
-
-    def add(self, top: int, pictures: Sequence[Rgba], layer: NDArray[np.uint32]) -> None:
-        for offset in range(len(layer)):
-            row, within = divmod(top + offset, self.scale)
-            for sums, picture in zip(self._sums.values(), pictures, strict=True):
-                sums[row] += np.add.reduceat(
-                    picture[offset].astype(np.float64), self._columns, axis=0
-                )
-            if within == 0:
-                self._layer[row] = layer[offset, :: self.scale]
-
-    def result(self) -> Preview:
-        pictures = {name: self._picture(sums) for name, sums in self._sums.items()}
-        return Preview(pictures, self._rules.blending.name, self._layer, self.scale)
-
-    def _picture(self, sums: NDArray[np.float64]) -> Any:
-        with np.errstate(invalid="ignore"):
-            means = (sums / self._areas).astype(np.float32)
-        rules = self._rules
-        return encode(means, "uint8", Losses(), rules.primaries, space_name=rules.space.name)

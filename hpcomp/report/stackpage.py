@@ -141,10 +141,15 @@ def _picture(number: int, name: str, preview: Preview, kind: str | None) -> Node
 def _scale_note(preview: Preview) -> Node:
     if preview.scale == 1:
         return ""
-    return h.p(class_="note")[
-        f"One pixel here stands for {preview.scale} × {preview.scale} of the picture. So that the "
-        f"woven pattern is seen, it is {preview.scale} times as coarse as in a file."
-    ]
+    note = f"One pixel here is the mean of {preview.scale} × {preview.scale} of the picture."
+    if preview.of_small_layers:
+        *others, last = preview.of_small_layers
+        names = f"{', '.join(others)} and {last}" if others else last
+        note += (
+            f" What is shown as {names} is blended from the layers at this size. So a woven "
+            f"pattern is seen: it is {preview.scale} times as coarse as in a file."
+        )
+    return h.p(class_="note")[note]
 
 
 def _provenance(report: StackReport, preview: Preview) -> Node:

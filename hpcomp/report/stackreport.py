@@ -28,13 +28,15 @@ class Preview:
     `pictures`: two or more to be compared, by name, in the order to be shown, the one first that
     the others are compared with; (h, w, 4) uint8 each, straight sRGB with alpha. `of_file`: the
     name of that which is in the file. `provenance` (h, w): uint32, the number plus 1 of the layer
-    whose hue survived there, 0 for none.
+    whose hue survived there, 0 for none. `of_small_layers`: the pictures that are blended from
+    layers of this size; the others are means of squares of the whole picture.
     """
 
     pictures: Mapping[str, NDArray[np.uint8]]
     of_file: str
     provenance: NDArray[np.uint32]
     scale: int
+    of_small_layers: tuple[str, ...] = ()
 
 
 def result_name(blending: str) -> str:

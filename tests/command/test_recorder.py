@@ -414,7 +414,7 @@ def test_the_weave_of_a_page_grows_with_its_scale(here):
     row = pictures(here)["woven"][4, :, 0].astype(int)
     stripes = np.count_nonzero(np.diff((row > row.mean()).astype(int)))
     assert abs(stripes - 2 * len(row) / 8) <= 2
-    assert "woven pattern is seen, it is 3 times as coarse as in a file" in (here / "r.html").read_text()
+    assert "a woven pattern is seen: it is 3 times as coarse as in a file" in (here / "r.html").read_text()
 
 
 @pytest.mark.parametrize("size", [(2 * PREVIEW_SIDE + 5, 7), (4, 2 * PREVIEW_SIDE + 2)])
@@ -437,6 +437,56 @@ def test_pictures_of_a_page_are_means_of_squares(here, size):
         square = values[y * scale : (y + 1) * scale, x * scale : (x + 1) * scale]
         mean = square.mean(axis=(0, 1), dtype=np.float64).astype(np.float32)
         assert abs(encode(mean[None], "uint8", Losses())[0].astype(int) - shown[y, x]).max() <= 1
+
+
+@pytest.mark.parametrize("name", ENGINES)
+@pytest.mark.parametrize(
+    "rules",
+    [{}, {"blending": "woven", "weave_size": 3}, {"blending": "traditional", "exposure": 1.0},
+     {"space": "oklab", "order": "simultaneous", "background": "#204060"}],
+    ids=["paper", "woven", "traditional", "oklab"],
+)  # fmt: skip
+def test_small_pictures_are_those_of_the_large_ones(here, monkeypatch, name, rules):
+    """Measured ones are their means, to the code; others are blended from means of the layers."""
+    monkeypatch.setenv(engine.VARIABLE, name)
+    width, height, scale = 2 * PREVIEW_SIDE + 1, 50, 3
+    rng = np.random.default_rng(8)
+    layers = []
+    for number in range(3):
+        values = rng.random((height, width, 4)).astype(np.float32)
+        values[..., :3] *= values[..., 3:] * np.float32(np.eye(3)[number] * 0.8 + 0.1)
+        values *= rng.random((height, width, 1)) > 0.4
+        hpcomp.write_image(f"l{number}.exr", values, depth="float")
+        layers.append(values)
+    opacities = 1.0, 0.8, 0.5
+    names = [f"l{number}.exr::opacity={opacity}" for number, opacity in enumerate(opacities)]
+    pages = set()
+    for memory in ("1G", least_memory(names, "out.exr", report="r.html", **rules)):
+        hpcomp.stack(names, "out.exr", report="r.html", max_memory=memory, **rules)
+        pages.add((here / "r.html").read_bytes())
+    assert len(pages) == 1
+
+    def small(values):
+        """Means of squares, those at the right and the lower edge of fewer pixels."""
+        begins = [np.arange(0, length, scale) for length in (height, width)]
+        sums = np.add.reduceat(np.add.reduceat(values.astype(float), begins[0], axis=0), begins[1], axis=1)
+        counts = [np.diff(np.append(begin, length)) for begin, length in zip(begins, (height, width), strict=True)]
+        return (sums / (counts[0][:, None] * counts[1])[..., None]).astype(np.float32)
+
+    own = rules.get("blending", "hue-preserving")
+    measured = {"traditional", own if own != "woven" else "hue-preserving"}
+    shown = pictures(here)
+    assert set(shown) == {"traditional", "hue-preserving", "woven"}
+    for picture, codes in shown.items():
+        blended = {**rules, "blending": picture}
+        if picture in measured:
+            expected = small(hpcomp.composite(layers, opacity=opacities, **blended))
+        else:
+            expected = hpcomp.composite([small(layer) for layer in layers], opacity=opacities, **blended)
+        error = abs(encode(expected, "uint8", Losses()).astype(int) - codes)
+        assert (error > 1).mean() < 1e-3, picture
+        assert (error > 0).mean() < 0.01, picture
+    assert f"mean of {scale} × {scale} of the picture" in (here / "r.html").read_text()
 
 
 # ---- provenance ----------------------------------------------------------------------------------
@@ -670,7 +720,7 @@ def test_failing_report_leaves_nothing(here, monkeypatch, name):
         raise OutputError("it fails")
 
     if name == "pictures":
-        monkeypatch.setattr(recorder._PreviewSums, "result", fail)
+        monkeypatch.setattr(recorder.SmallPictures, "result", fail)
     else:
         monkeypatch.setattr(recorder, "render_stack_report", fail)
     with pytest.raises(OutputError, match="it fails"):

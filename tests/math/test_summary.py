@@ -463,7 +463,7 @@ def pixels_of(measures):
 def sums_of(found):
     """(name, value) of each sum, as numbers and arrays, of what the binding gave."""
     for name in dir(found):
-        if name.startswith("_") or name == "layer_hues":
+        if name.startswith("_") or name == "layer_hues" or name.endswith("_squares"):
             continue
         value = getattr(found, name)
         if isinstance(value, list):
@@ -672,6 +672,37 @@ class TestBinding:
             assert {"count", "rgb"} < set(names) or "result.layers[1].survived" in names
         for name, plane in planes.items():
             assert np.array_equal(plane, again[name])
+
+    def test_squares_are_added_to_and_outlive_what_was_measured(self):
+        layers = [make_layer(layer) for layer in layers_of_labels(2, HEIGHT, WIDTH)]
+        measures = make_measures(square_scale=2, square_top=1)
+        found = []
+        for _ in range(2):
+            measure(measures, layers=layers)
+            of_layers = [measures.layer_squares(number=n) for n in range(2)]
+            results = [measures.result_squares(), measures.traditional_squares()]
+            found.append([sums.copy() for sums in (*of_layers, *results)])
+        del measures
+        for once, twice, held in zip(*found, (*of_layers, *results), strict=True):
+            assert once.any()
+            assert np.array_equal(2 * once, twice)
+            assert np.array_equal(held, twice)
+
+    def test_squares_that_are_none(self):
+        for wrong in ({"square_scale": 2, "square_top": 2}, {"square_scale": 2, "square_top": -1},
+                      {"square_scale": 1 << 40}):  # fmt: skip
+            with refused():
+                make_measures(**wrong)
+        measures = make_measures(square_scale=2)
+        for number in (-1, 2):
+            with refused():
+                measures.layer_squares(number=number)
+        unasked = make_measures()
+        for ask in (unasked.result_squares, unasked.traditional_squares):
+            with refused():
+                ask()
+        with refused():
+            unasked.layer_squares(number=0)
 
     def test_arrays_that_were_given_are_nobody_elses(self):
         measures = measure(layers=[make_layer(layer) for layer in layers_of_labels(2, 2, 3)])

@@ -11,6 +11,7 @@ from hpcomp.kernel import fused as kernel
 from hpcomp.measures import labels as measures
 from hpcomp.measures.defaults import CELL
 from hpcomp.measures.histogram import HueHistogram
+from hpcomp.measures.squares import Squares
 from hpcomp.measures.summary import StripToMeasure
 
 ENGINES = {"kernel": kernel.ENGINE, "reference": reference.ENGINE}
@@ -18,18 +19,22 @@ ENGINES = {"kernel": kernel.ENGINE, "reference": reference.ENGINE}
 TIES = 2
 # Sums of float32 values, each rounded to a unit of the sum; the shoulder enlarges some roundings.
 SUMS = 2e-5
+# And so many units in the nine pixels of a square, where channels are small beside others.
+SQUARE_SUMS = 200
 # Of provenance: a difference of nearly equal lengths keeps fewer digits than either.
 PLANES = 1e-4
 
 
 def both(rules, strips, width, height, *, bins=360, **settings):
-    """Findings and provenance by the kernel, then by the reference."""
+    """Findings, provenance and squares by the kernel, then by the reference."""
     chosen = measures.measure_settings(rules, **settings)
     with np.errstate(all="ignore"):
-        return tuple(
-            by.summary(StripToMeasure(rules, chosen, bins, strips, width, height, True))
-            for by in ENGINES.values()
-        )
+        for by in ENGINES.values():
+            squares = Squares(3, 1, width, height)
+            strip = StripToMeasure(
+                rules, chosen, bins, strips, width, height, with_provenance=True, squares=squares
+            )
+            yield *by.summary(strip), squares.sums
 
 
 def numbers(found):
@@ -55,7 +60,9 @@ COUNTS = {"count", "grey", "transparent", "nonfinite", "chromatic", "foreign", "
 
 def assert_agree(rules, strips, width, height, **settings):
     """Both engines find the same, each as exactly as it must; the kernel's findings."""
-    (ours, our_planes), (theirs, their_planes) = both(rules, strips, width, height, **settings)
+    (ours, our_planes, our_sums), (theirs, their_planes, their_sums) = both(
+        rules, strips, width, height, **settings
+    )
     assert ours.measures.settings == theirs.measures.settings
     assert ours.layers == theirs.layers
     compared = set()
@@ -83,4 +90,14 @@ def assert_agree(rules, strips, width, height, **settings):
         assert (mine.dtype, mine.shape) == (np.float32, (height, width))
         # Where nothing has a hue that a float32 can hold, both are 0 or both are not told apart.
         assert np.allclose(mine[same], other[same], rtol=PLANES, atol=PLANES, equal_nan=True), name
+    assert set(our_sums) == set(their_sums) == {*range(len(strips)), "result", "traditional"}
+    for picture, mine in our_sums.items():
+        other = their_sums[picture]
+        assert (mine.dtype, mine.shape) == (other.dtype, other.shape) == (np.int64, mine.shape)
+        if isinstance(picture, int):
+            assert np.array_equal(mine, other), picture
+        else:
+            # What nearly cancels keeps fewer digits, and whose hue is kept a tie may decide.
+            beyond = (abs(mine - other) > SUMS * abs(other) + SQUARE_SUMS).any(axis=-1)
+            assert np.count_nonzero(beyond) <= 2 * TIES, picture
     return ours
