@@ -18,9 +18,10 @@ with np.printoptions(), warnings.catch_warnings():
     warnings.simplefilter("ignore")
     import colour  # noqa: F401
 
-# Reproducible by default: a failure in CI fails on every machine. The plain run takes `quick`;
-# `thorough` looks for new cases.
-settings.register_profile("default", deadline=None, derandomize=True, max_examples=100)
+# Reproducible by default: a failure in CI fails on every machine. The plain run takes `quick`, the gate
+# `default`, and `sh tests/run.sh --all` takes `many`; `thorough` looks for new cases.
+settings.register_profile("default", deadline=None, derandomize=True, max_examples=40)
+settings.register_profile("many", settings.get_profile("default"), max_examples=100)
 settings.register_profile("quick", settings.get_profile("default"), max_examples=20)
 settings.register_profile("thorough", deadline=None, print_blob=True, max_examples=3000)
 settings.load_profile(os.environ.get("HPCOMP_HYPOTHESIS", "default"))

@@ -1,9 +1,10 @@
 #!/bin/sh
 # Makes .venv at the root of the checkout if it is missing, installs hpcomp with what its tests need
-# into it, and runs the tests: those that take a few minutes together, or all.
+# into it, and runs the tests: those that take a few minutes together, those of the gate, or all.
 #
 #   sh tests/run.sh                             from any directory; two files of tests at a time
-#   sh tests/run.sh --all                       slow tests, whole products, more random examples too
+#   sh tests/run.sh --gate                      slow tests and some more random examples too
+#   sh tests/run.sh --all                       whole products and far more random examples too
 #   sh tests/run.sh tests/command/test_cli.py   passes arguments on to pytest
 #   VENV=/tmp/env sh tests/run.sh               uses another environment
 #   PYTHON=python3.12 sh tests/run.sh           names the interpreter that makes it
@@ -36,8 +37,14 @@ case ${1-} in
     echo "Slow tests, whole products and more random examples: sh tests/run.sh --all"
     exit $code
     ;;
+--gate)
+    shift
+    echo "Running the tests of the gate, two files at a time: about a quarter of an hour"
+    exec pytest --numprocesses 2 --dist loadfile -m "not thorough" "$@"
+    ;;
 --all)
     shift
+    export HPCOMP_HYPOTHESIS="${HPCOMP_HYPOTHESIS:-many}"
     echo "Running all tests, two files at a time: far longer than the plain run"
     exec pytest --numprocesses 2 --dist loadfile "$@"
     ;;

@@ -288,7 +288,7 @@ def test_jobs_that_cannot_be_done_twice_are_tasks_of_their_own(desk, machines):
 
 @pytest.mark.slow
 def test_an_adaptive_cluster_grows(desk):
-    put_jobs(desk, jobs(120, compression="9"))
+    put_jobs(desk, jobs(60, compression="9"))
     script = (
         "import distributed, sys\n"
         "if __name__ == '__main__':\n"
@@ -314,7 +314,7 @@ def test_an_adaptive_cluster_grows(desk):
     assert process.poll() is None
     code, error = end_of(process)
     assert code == 0, error
-    assert len(outputs(desk)) == 120
+    assert len(outputs(desk)) == 60
     there.stdin.close()
     there.wait()
     there.stdout.close()
@@ -483,13 +483,9 @@ def test_what_is_no_cluster(desk, address, code, says):
     assert run.lines[-1].startswith("hpcomp: error: ")
     assert says in run.lines[-1]
     assert outputs(desk) == {}
-
-
-def test_why_no_scheduler_answers(desk):
-    put_jobs(desk, jobs(1))
-    run = desk.run("batch", "jobs.json", "--dask", "tcp://127.0.0.1:9")
-    # On a machine that is very busy, Dask may have begun one more try when its time ends.
-    assert any(f"({reason})" in run.stderr for reason in ("connection refused", "no answer in 10 s"))
+    if "no Dask scheduler answers" in says:
+        # On a machine that is very busy, Dask may have begun one more try when its time ends.
+        assert any(f"({reason})" in run.stderr for reason in ("connection refused", "no answer in 10 s"))
 
 
 @pytest.mark.parametrize("error", [TimeoutError(), asyncio.CancelledError()], ids=repr)

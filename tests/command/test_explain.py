@@ -149,6 +149,7 @@ WOVEN = [
 ]
 
 
+@pytest.mark.singly
 @pytest.mark.filterwarnings("ignore")  # of colours that a PNG cannot hold, layers outside the canvas
 @pytest.mark.parametrize("rules", WOVEN, ids=str)
 def test_a_woven_pixel_is_what_stack_writes_there(files, each_engine, rules):
@@ -395,6 +396,7 @@ def test_rivals_are_those_of_the_strength(plain, strength):
 # ---- woven ---------------------------------------------------------------------------------------
 
 
+@pytest.mark.singly
 @pytest.mark.parametrize("strength", STRENGTHS)
 @pytest.mark.parametrize(("weave", "size"), [("stripes", 8), ("stripes", 5), ("noise", 2)])
 def test_the_pattern_says_whose_thread_a_pixel_is(plain, weave, size, strength):

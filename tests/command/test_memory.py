@@ -159,6 +159,7 @@ def test_four_layers_stay_in_the_budget(peak, name, ending, threads):
     assert peak([name] * 4, ending, 48, threads) <= 48
 
 
+@pytest.mark.singly
 @pytest.mark.parametrize("threads", [1, 2])
 @pytest.mark.parametrize("name", ["wide.png", "wide.exr", "float.exr"])
 def test_small_budget(peak, name, threads):
@@ -167,6 +168,7 @@ def test_small_budget(peak, name, threads):
 
 
 @pytest.mark.slow
+@pytest.mark.singly
 @pytest.mark.parametrize("engine_name", list(dict.fromkeys([engine.active().name, "reference"])))
 @pytest.mark.parametrize("threads", [1, 2])
 def test_budget_of_every_engine(peak, engine_name, threads):
@@ -179,6 +181,7 @@ def test_budget_of_every_engine(peak, engine_name, threads):
 
 
 @pytest.mark.slow
+@pytest.mark.singly
 @pytest.mark.parametrize("engine_name", list(dict.fromkeys([engine.active().name, "reference"])))
 @pytest.mark.parametrize("threads", [1, 2])
 def test_a_report_in_a_space_that_numpy_measures(peak, engine_name, threads, tmp_path):
@@ -204,6 +207,7 @@ def test_output_that_takes_more_encoding(peak, compression):
 
 
 @pytest.mark.slow
+@pytest.mark.singly
 @pytest.mark.parametrize("threads", [1, 2, 4])
 @pytest.mark.parametrize("budget", [None, 192, 320])
 def test_output_in_blocks_of_256_rows(peak, files, tmp_path, budget, threads):
@@ -242,6 +246,7 @@ def test_orders_that_hold_every_layer(peak, order):
 # ---- what does not matter -------------------------------------------------------------------
 
 
+@pytest.mark.singly
 @pytest.mark.parametrize("threads", [1, 2])
 @pytest.mark.parametrize("ending", ENDINGS)
 def test_height_does_not_matter(peak, ending, threads):
@@ -253,6 +258,7 @@ def test_height_does_not_matter(peak, ending, threads):
 
 
 @pytest.mark.slow
+@pytest.mark.singly
 @pytest.mark.parametrize("threads", [1, 2])
 @pytest.mark.parametrize("order", ["bottom-up", "top-down"])
 def test_number_of_layers_does_not_matter(peak, order, threads):
@@ -278,7 +284,7 @@ def told(request, tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.pairwise
+@pytest.mark.singly
 @pytest.mark.parametrize("threads", [1, 2])
 @pytest.mark.parametrize("name", ["wide.png", "wide.exr"])
 def test_reports_of_four_layers_stay_in_the_budget(peak, told, name, threads):
@@ -286,6 +292,7 @@ def test_reports_of_four_layers_stay_in_the_budget(peak, told, name, threads):
 
 
 @pytest.mark.slow
+@pytest.mark.singly
 @pytest.mark.parametrize("order", ["bottom-up", "top-down", "simultaneous"])
 def test_reports_of_many_layers_stay_in_the_budget(peak, told, order):
     """All layers of a strip are looked at together, whatever the order, and decoded for that."""
@@ -294,6 +301,7 @@ def test_reports_of_many_layers_stay_in_the_budget(peak, told, order):
 
 
 @pytest.mark.slow
+@pytest.mark.singly
 @pytest.mark.parametrize("threads", [1, 2])
 def test_height_does_not_matter_to_a_report(peak, told, threads):
     """Four times the rows; whole, the three layers would take 50 MiB more. A page's pictures have
@@ -304,6 +312,7 @@ def test_height_does_not_matter_to_a_report(peak, told, threads):
 
 
 @pytest.mark.slow
+@pytest.mark.singly
 @pytest.mark.parametrize("engine_name", list(dict.fromkeys([engine.active().name, "reference"])))
 def test_minimum_of_a_report(peak, files, tmp_path, told, engine_name):
     env = {"HPCOMP_ENGINE": engine_name}
@@ -320,6 +329,7 @@ def test_minimum_of_a_report(peak, files, tmp_path, told, engine_name):
 
 
 @pytest.mark.slow
+@pytest.mark.singly
 @pytest.mark.parametrize("threads", [1, 2])
 @pytest.mark.parametrize("name", ["interlaced.png", "blocks.exr", "tiles.exr", "wide.exr"])
 def test_minimum(peak, files, tmp_path, name, threads):
@@ -394,7 +404,7 @@ def reading_peak(files):
 
 
 @pytest.mark.slow
-@pytest.mark.pairwise
+@pytest.mark.singly
 @pytest.mark.parametrize("threads", [1, 5])
 @pytest.mark.parametrize(
     "name",
@@ -414,6 +424,7 @@ def test_a_command_that_reads_stays_in_a_small_budget(reading_peak, command):
 
 
 @pytest.mark.slow
+@pytest.mark.singly
 @pytest.mark.parametrize("space", ["oklab", "cielab"])
 @pytest.mark.parametrize("command", ["check", "hues"])
 def test_a_space_that_is_not_linear_stays_in_the_budget(reading_peak, command, space):
@@ -421,7 +432,7 @@ def test_a_space_that_is_not_linear_stays_in_the_budget(reading_peak, command, s
 
 
 @pytest.mark.slow
-@pytest.mark.pairwise
+@pytest.mark.singly
 @pytest.mark.parametrize("threads", [1, 2])
 @pytest.mark.parametrize("name", ["interlaced.png", "blocks.exr", "tiles.exr", "wide.exr"])
 @pytest.mark.parametrize("command", COMMANDS)

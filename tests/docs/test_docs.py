@@ -865,6 +865,8 @@ def test_the_scripts_that_readme_names_exist(script):
 STEPS = {
     "": ["Making", "python -m venv", "Installing", "python -m pip install", "Running the tests",
          "pytest --numprocesses 2", "Slow tests"],
+    "--gate": ["Making", "python -m venv", "Installing", "python -m pip install", "Running the tests",
+               "pytest --numprocesses 2"],
     "--all": ["Making", "python -m venv", "Installing", "python -m pip install", "Running all tests",
               "pytest --numprocesses 2"],
     "tests/docs": ["Making", "python -m venv", "Installing", "python -m pip install", "pytest tests/docs"],

@@ -1,4 +1,4 @@
-"""What the plain run leaves out of a product of parameters."""
+"""What the plain run and the gate leave out of a product of parameters."""
 
 from itertools import combinations, product
 
@@ -17,6 +17,15 @@ def test_every_pair_is_there_and_few_rows(sizes):
     assert pairs(kept) == pairs(rows)
     first, second = sorted(sizes)[-2:]
     assert first * second <= len(kept) <= 1.5 * first * second
+
+
+@pytest.mark.parametrize("sizes", [(2, 3), (2, 2, 2), (13, 3, 5, 4), (5, 1, 4), (7,)])
+def test_every_value_is_there_and_as_few_rows_as_can_be(sizes):
+    rows = list(product(*map(range, sizes)))
+    kept = [rows[number] for number in covering(rows, 1)]
+    for column, size in enumerate(sizes):
+        assert {row[column] for row in kept} == set(range(size))
+    assert len(kept) == max(sizes)
 
 
 def test_rows_that_are_not_there_are_not_needed():

@@ -4,8 +4,10 @@ import mutants
 import pytest
 from mutantruns import faults
 
-#: Mutants in the plain run, and in all.
-FEW, ALL = 96, 2000
+#: Mutants in the plain run, and in all; the gate has those of the plain run and a block of more.
+#: `sh tests/run.sh --all tests/files/test_mutants.py` runs all.
+FEW, ALL, BLOCK = 96, 2000, 476
+FIRST, *LATER = range(FEW, ALL, BLOCK)
 
 
 def test_few_mutants(tmp_path):
@@ -13,9 +15,23 @@ def test_few_mutants(tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("first", range(FEW, ALL, 476))
+@pytest.mark.parametrize(
+    "first", [FIRST, *(pytest.param(first, marks=pytest.mark.thorough) for first in LATER)]
+)
 def test_all_mutants(tmp_path, first):
-    assert faults(range(first, first + 476), tmp_path) == []
+    """In each block there is every sound file, about equally often, and every way to damage it."""
+    assert faults(range(first, first + BLOCK), tmp_path) == []
+
+
+def test_a_block_of_mutants_has_all_kinds(tmp_path):
+    sound = mutants.seeds(tmp_path)
+    for first in (FIRST, *LATER):
+        made = [mutants.mutant(sound, number).name for number in range(first, first + BLOCK)]
+        assert {name.rpartition(", ")[2] for name in made} == {
+            way.__name__ for way in (*mutants.ANY, *mutants.OF_PNG, *mutants.OF_EXR)
+        }
+        files = [name.partition(": ")[2].rpartition(", ")[0].partition("::")[0] for name in made]
+        assert min(files.count(name) for name in sound) >= BLOCK // len(sound)
 
 
 def test_mutants_differ_and_each_is_always_the_same(tmp_path):

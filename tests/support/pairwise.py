@@ -1,36 +1,49 @@
-"""Products of parameters, thinned: the plain run takes rows that hold every pair of values."""
+"""Products of parameters, thinned: to rows that hold every pair of values, or every value."""
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Hashable, Iterable, Sequence
 from itertools import combinations
 
 import pytest
 
+#: Markers of products, and of how many columns the rows that are kept show each combination.
+TOGETHER = {"pairwise": 2, "singly": 1}
 
-def covering(rows: Sequence[Sequence[Hashable]]) -> list[int]:
-    """Which rows to keep so that any two columns still show each pair of values that they show in all.
 
-    Greedy: always the first of the rows that add most pairs. Ascending.
+def covering(rows: Sequence[Sequence[Hashable]], together: int = 2) -> list[int]:
+    """Which rows to keep so that any two columns, or as many as are to be looked at together, still show
+    each combination of values that they show in all.
+
+    Greedy: always one of the rows that add most combinations; of these, one whose values have been seen
+    least, so that values that are left over go round; of these, the first. Ascending.
     """
-    pairs = [set(combinations(enumerate(row), min(2, len(row)))) for row in rows]
+    pairs = [set(combinations(enumerate(row), min(together, len(row)))) for row in rows]
     missing = set().union(*pairs)
     kept = set()
+    seen: Counter[tuple[int, Hashable]] = Counter()
+
+    def worth(row: int) -> tuple[int, int, int]:
+        return len(pairs[row] & missing), -sum(seen[value] for value in enumerate(rows[row])), -row
+
     while missing:
-        best = max(range(len(rows)), key=lambda row: (len(pairs[row] & missing), -row))
+        best = max(range(len(rows)), key=worth)
         kept.add(best)
+        seen.update(enumerate(rows[best]))
         missing -= pairs[best]
     return sorted(kept)
 
 
 def mark_products(items: Iterable[pytest.Item]) -> None:
-    """Marks as `thorough` what a test marked `pairwise` has beside a covering of its product."""
-    products: dict[str, list[pytest.Function]] = {}
+    """Marks as `thorough` what a test of such a marker has beside a covering of its product."""
+    products: dict[tuple[str, int], list[pytest.Function]] = {}
     for item in items:
-        if item.get_closest_marker("pairwise"):
-            products.setdefault(item.nodeid.partition("[")[0], []).append(item)
-    for product in products.values():
-        kept = set(covering([values(item) for item in product]))
+        for marker, together in TOGETHER.items():
+            if item.get_closest_marker(marker):
+                products.setdefault((item.nodeid.partition("[")[0], together), []).append(item)
+    for (_, together), product in products.items():
+        kept = set(covering([values(item) for item in product], together))
         for number, item in enumerate(product):
             if number not in kept:
                 item.add_marker(pytest.mark.thorough)
