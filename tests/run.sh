@@ -3,8 +3,8 @@
 # into it, and runs the tests: those that take a few minutes together, those of the gate, or all.
 #
 #   sh tests/run.sh                             from any directory; two files of tests at a time
-#   sh tests/run.sh --gate                      slow tests and some more random examples too
-#   sh tests/run.sh --all                       whole products and far more random examples too
+#   sh tests/run.sh --gate                      slow and thorough tests, twice the random examples too
+#   sh tests/run.sh --all                       exhaustive ones, five times the random examples too
 #   sh tests/run.sh tests/command/test_cli.py   passes arguments on to pytest
 #   VENV=/tmp/env sh tests/run.sh               uses another environment
 #   PYTHON=python3.12 sh tests/run.sh           names the interpreter that makes it
@@ -33,14 +33,14 @@ case ${1-} in
     export HPCOMP_HYPOTHESIS="${HPCOMP_HYPOTHESIS:-quick}"
     echo "Running the tests, two files at a time: a few minutes on an idle machine"
     code=0
-    pytest --numprocesses 2 --dist loadfile -m "not slow and not thorough" || code=$?
+    pytest --numprocesses 2 --dist loadfile -m "not slow and not thorough and not exhaustive" || code=$?
     echo "Slow tests, whole products and more random examples: sh tests/run.sh --all"
     exit $code
     ;;
 --gate)
     shift
     echo "Running the tests of the gate, two files at a time: about a quarter of an hour"
-    exec pytest --numprocesses 2 --dist loadfile -m "not thorough" "$@"
+    exec pytest --numprocesses 2 --dist loadfile -m "not exhaustive" "$@"
     ;;
 --all)
     shift

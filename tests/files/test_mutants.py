@@ -16,7 +16,7 @@ def test_few_mutants(tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "first", [FIRST, *(pytest.param(first, marks=pytest.mark.thorough) for first in LATER)]
+    "first", [FIRST, *(pytest.param(first, marks=pytest.mark.exhaustive) for first in LATER)]
 )
 def test_all_mutants(tmp_path, first):
     """In each block there is every sound file, about equally often, and every way to damage it."""

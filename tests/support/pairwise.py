@@ -8,8 +8,9 @@ from itertools import combinations
 
 import pytest
 
-#: Markers of products, and of how many columns the rows that are kept show each combination.
-TOGETHER = {"pairwise": 2, "singly": 1}
+#: Markers of products: of how many columns the rows that are kept show each combination, and what the
+#: others are marked as. Those that take long are left out of the gate, too.
+PRODUCTS = {"pairwise": (2, "thorough"), "singly": (1, "exhaustive")}
 
 
 def covering(rows: Sequence[Sequence[Hashable]], together: int = 2) -> list[int]:
@@ -36,17 +37,18 @@ def covering(rows: Sequence[Sequence[Hashable]], together: int = 2) -> list[int]
 
 
 def mark_products(items: Iterable[pytest.Item]) -> None:
-    """Marks as `thorough` what a test of such a marker has beside a covering of its product."""
-    products: dict[tuple[str, int], list[pytest.Function]] = {}
+    """Marks what a test of such a marker has beside a covering of its product."""
+    products: dict[tuple[str, str], list[pytest.Function]] = {}
     for item in items:
-        for marker, together in TOGETHER.items():
+        for marker in PRODUCTS:
             if item.get_closest_marker(marker):
-                products.setdefault((item.nodeid.partition("[")[0], together), []).append(item)
-    for (_, together), product in products.items():
+                products.setdefault((item.nodeid.partition("[")[0], marker), []).append(item)
+    for (_, marker), product in products.items():
+        together, left_out = PRODUCTS[marker]
         kept = set(covering([values(item) for item in product], together))
         for number, item in enumerate(product):
             if number not in kept:
-                item.add_marker(pytest.mark.thorough)
+                item.add_marker(left_out)
 
 
 def values(item: pytest.Function) -> list[Hashable]:
