@@ -299,7 +299,7 @@ def stored(samples):
     return [tuple(float(np.float32(value)) for value in sample) for sample in samples]
 
 
-@pytest.mark.pairwise
+@pytest.mark.singly
 @pytest.mark.parametrize("volumes", [False, True])
 @pytest.mark.parametrize("hues", HUES_OF_MANY)
 @pytest.mark.parametrize("blending", [name for name in BLENDING_NAMES if name != "foremost"])
@@ -328,7 +328,7 @@ VANISHING = {
 }
 
 
-@pytest.mark.pairwise
+@pytest.mark.singly
 @pytest.mark.usefixtures("by_each_engine")
 @pytest.mark.parametrize("kind", VANISHING)
 @pytest.mark.parametrize("order", ORDER_NAMES)

@@ -124,7 +124,7 @@ class TestEngineIsTheOracle:
     @pytest.mark.parametrize("space", SPACE_NAMES)
     @pytest.mark.parametrize("strength", OTHERS)
     def test_many_pixels(self, composite, strength, space, order, gray_bias, dtype, tolerance):
-        layers = layers_of_labels(5, 1, 60, seed=4)[:, 0].astype(dtype)
+        layers = layers_of_labels(5, 1, 24, seed=4)[:, 0].astype(dtype)
         rules = {"order": order, "gray_bias": gray_bias, "background": (0.2, 0.05, 0.4)}
         actual = composite(list(layers), strength=strength, space=space, **rules)
         compared = 0
@@ -134,7 +134,7 @@ class TestEngineIsTheOracle:
             if is_steady(result_of, pixel, dtype, allowed):
                 compared += 1
                 assert_near(actual[number], result_of([tuple(p) for p in pixel]), allowed)
-        assert compared >= 50
+        assert compared >= 18
 
     @pytest.mark.parametrize("strength", OTHERS)
     @pytest.mark.parametrize("hue_tolerance", [0.0, 0.5, 10.0])
