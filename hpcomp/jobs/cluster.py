@@ -35,8 +35,8 @@ WITHOUT_WORKERS_S = 5
 COUNT_S = 1
 #: How often it is looked whether a task has ended.
 LOOK_S = 0.01
-#: How long a task should take, and how many jobs it has at most.
-TASK_S, JOBS_OF_A_TASK = 1.0, 500
+#: How long a task should take, and at least to the end, and how many jobs it has at most.
+TASK_S, SHORTEST_TASK_S, JOBS_OF_A_TASK = 1.0, 0.1, 500
 #: Tasks that each thread of the cluster is given. It never waits for the next one; and Dask lets an
 #: adaptive cluster grow until its tasks last 5 s (`distributed.adaptive.target-duration`): with
 #: these it more than doubles, for as long as there are jobs.
@@ -161,13 +161,17 @@ class Cluster:
     def _wanted_size(self, ready: int) -> int:
         """How many of so many jobs the next task has.
 
-        They shrink to the end, so that all threads are done at about the same time.
+        They shrink to the end, so that all threads are done at about the same time: but a task of
+        next to nothing costs more than it saves, and a job alone in it could not be told from one
+        that kills its worker.
         """
         if self._job_s is None:
             return 1
         fair = ready / (2 * min(max(1, self._threads), self._wanted_tasks()))
-        lasting = TASK_S / max(self._job_s, TASK_S / JOBS_OF_A_TASK)
-        return max(1, math.floor(min(fair, lasting)))
+        job_s = max(self._job_s, TASK_S / JOBS_OF_A_TASK)
+        shortest = math.ceil(SHORTEST_TASK_S / job_s)
+        size = max(1, math.floor(min(max(fair, shortest), TASK_S / job_s)))
+        return size if ready - size >= shortest else ready
 
     def give(self, number: int, task: Task, outputs: Sequence[str]) -> None:
         for output in outputs:

@@ -261,6 +261,23 @@ def test_jobs_of_a_task_that_killed_its_worker_are_tried_one_by_one(desk, tmp_pa
 # ---- as Dask wants it ----------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize("threads", [1, 2, 16])
+@pytest.mark.parametrize("job_s", [0.001, 0.01, 0.07, 0.3, 5.0])
+@pytest.mark.parametrize("jobs_left", [1, 2, 11, 400, 5000])
+def test_tasks_shrink_to_the_end_and_none_has_hardly_anything(threads, job_s, jobs_left):
+    crew = object.__new__(cluster.Cluster)
+    crew._threads, crew._at_a_time, crew._job_s = threads, None, job_s
+    sizes, left = [], jobs_left
+    while left:
+        sizes.append(min(left, crew._wanted_size(left)))
+        left -= sizes[-1]
+    per_task = max(job_s, cluster.TASK_S / cluster.JOBS_OF_A_TASK)
+    assert min(sizes) * per_task >= min(cluster.SHORTEST_TASK_S, jobs_left * per_task) - 1e-9
+    assert max(sizes) == 1 or max(sizes) * per_task <= cluster.TASK_S + cluster.SHORTEST_TASK_S
+    if jobs_left == 5000 and job_s < cluster.SHORTEST_TASK_S:
+        assert sizes[-2] < sizes[0]
+
+
 def test_small_jobs_go_together_and_leave_nothing_on_the_scheduler(desk, machines):
     machines.add_worker()
     small_layers(desk)
