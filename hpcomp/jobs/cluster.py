@@ -162,8 +162,7 @@ class Cluster:
         """How many of so many jobs the next task has.
 
         They shrink to the end, so that all threads are done at about the same time: but a task of
-        next to nothing costs more than it saves, and a job alone in it could not be told from one
-        that kills its worker.
+        next to nothing costs more than it saves.
         """
         if self._job_s is None:
             return 1
@@ -227,13 +226,21 @@ class Cluster:
                 yield number, self._unless_killed(number, result)
             for number in reversed(numbers[len(outcome) :]):
                 yield number, None
-        elif status == "error" and type(outcome[1]).__name__ == "KilledWorker" and numbers[1:]:
-            self._alone.update(numbers)  # one of them may have killed it
+        elif self._may_be_innocent(numbers, status, outcome):
+            self._alone.update(numbers)
             for number in reversed(numbers):
                 yield number, None
         else:
             for number in numbers:
                 yield number, self._failure(status, outcome)
+
+    def _may_be_innocent(self, numbers: Sequence[int], status: str, outcome: Any) -> bool:
+        """Whether a task is blamed for dead workers, and its jobs have not been tried alone.
+
+        One of them may have killed those, or something else while the task was waiting there.
+        """
+        killed = status == "error" and type(outcome[1]).__name__ == "KilledWorker"
+        return killed and not self._alone.issuperset(numbers)
 
     def _learn(self, results: Sequence[Result]) -> None:
         """Takes in how long jobs last now."""
