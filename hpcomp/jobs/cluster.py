@@ -35,7 +35,7 @@ WITHOUT_WORKERS_S = 5
 COUNT_S = 1
 #: How often it is looked whether a task has ended.
 LOOK_S = 0.01
-#: How long a task should take, and at least to the end, and how many jobs it has at most.
+#: How long a task should take, how long at least where few jobs are left, and its jobs at most.
 TASK_S, SHORTEST_TASK_S, JOBS_OF_A_TASK = 1.0, 0.1, 500
 #: Tasks that each thread of the cluster is given. It never waits for the next one; and Dask lets an
 #: adaptive cluster grow until its tasks last 5 s (`distributed.adaptive.target-duration`): with

@@ -69,7 +69,8 @@ HPCOMP_INLINE State state_at(const State &state, int64_t pixel) {
             state.phase ? state.phase + pixel : nullptr, state.left, state.top};
 }
 
-HPCOMP_INLINE void show(const Observer &observer, int number, int x, int y, int n, const Light &term, const float *alpha) {
+HPCOMP_INLINE void show(const Observer &observer, int number, int x, int y, int n, const Light &term,
+                        const float *alpha) {
     observer.term(observer.self, number, x, y, n, term.red, term.green, term.blue, alpha, term.luminance, term.p0,
                   term.p1);
 }

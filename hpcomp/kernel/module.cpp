@@ -388,7 +388,8 @@ std::unique_ptr<StripMeasures> make_measures(int64_t layers, int64_t width, int6
     made->found.others = made->others.data();
     if (square_scale > 0) {
         Squares &squares = made->found.squares;
-        if (square_top < 0 || square_top >= checked_coordinate(square_scale)) throw nb::value_error("squares begin above");
+        if (square_top < 0 || square_top >= checked_coordinate(square_scale))
+            throw nb::value_error("squares begin less than their side above the strip");
         squares.scale = int(square_scale), squares.top = int(square_top);
         squares.rows = int((square_top + height - 1) / square_scale) + 1;
         squares.columns = int((width - 1) / square_scale) + 1;
@@ -463,7 +464,8 @@ template <Result kWhich> SquareSums squares_of_result(const StripMeasures &of) {
     auto sums = std::make_unique<std::vector<int64_t>>(own, own + size);
     for (size_t i = 0; i < size; ++i) (*sums)[i] += both[i];
     int64_t *const first = sums->data();
-    const nb::capsule owner(sums.release(), [](void *held) noexcept { delete static_cast<std::vector<int64_t> *>(held); });
+    const nb::capsule owner(
+        sums.release(), [](void *held) noexcept { delete static_cast<std::vector<int64_t> *>(held); });
     return SquareSums(first, {rows, columns, 4}, owner);
 }
 

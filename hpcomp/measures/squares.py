@@ -55,12 +55,12 @@ def _begins(at: int, length: int, scale: int) -> tuple[NDArray[np.intp], int]:
 
 
 def means(sums: Sums, areas: NDArray[np.int64]) -> Array:
-    """The mean colours (rows, columns, 4) of squares, of which `areas` (rows, columns) are seen."""
+    """The mean colours (rows, columns, 4) of squares of so many pixels, `areas` (rows, columns)."""
     factors = (SUM_UNIT / areas[..., None]).astype(np.float32)
     return np.multiply(sums, factors, dtype=np.float32, casting="unsafe")
 
 
-def areas(scale: int, width: int, height: int) -> NDArray[np.int64]:
+def areas_of(scale: int, width: int, height: int) -> NDArray[np.int64]:
     """How many pixels of a picture each of its squares has, (rows, columns)."""
     down, across = (
         np.diff(np.append(np.arange(0, length, scale), length)) for length in (height, width)

@@ -54,7 +54,10 @@ _BLOCK_BYTES = 1 << 19
 
 @dataclass(frozen=True)
 class SeenStrip:
-    """What is kept of one strip: its measures, and planes (height, width) where they are wanted."""
+    """What is kept of one strip: its measures, and planes (height, width) where they are wanted.
+
+    `rows`: of the canvas. `squares`: of its layers and results, where a page shows pictures.
+    """
 
     rows: Window
     summary: StackSummary

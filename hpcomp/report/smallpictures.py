@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -13,7 +13,8 @@ from ..color.quantization import Losses
 from ..color.samples import NOTHING, Strip
 from ..engine import choice as engine
 from ..geometry import Window
-from ..measures.squares import Squares, areas, means
+from ..measures.labels import RESULTS
+from ..measures.squares import Squares, areas_of, means
 from .stackreport import Preview, preview_scale
 
 #: The blendings of which a page always shows a picture.
@@ -43,10 +44,10 @@ class SmallPictures:
         self._rules, self._window = rules, window
         self._scale = scale = preview_scale(window.width, window.height)
         self._origin = (window.x - canvas.x) // scale, (window.y - canvas.y) // scale
-        self._areas = areas(scale, window.width, window.height)
+        self._areas = areas_of(scale, window.width, window.height)
         self._layer = np.zeros(self._areas.shape, np.uint32)
-        measured = {name: np.zeros((*self._areas.shape, 4), np.int64) for name in _measured(rules)}
-        self._sums: dict[str, NDArray[np.int64]] = measured
+        self._measured = measured = _measured(rules)
+        self._sums = {name: np.zeros((*self._areas.shape, 4), np.int64) for name in measured}
         self._blended = {
             name: np.zeros((*self._areas.shape, 4), np.uint8)
             for name in compared(rules)
@@ -60,7 +61,7 @@ class SmallPictures:
         """Bytes for each pixel of a strip that so many layers meet in, and for the whole."""
         scale = preview_scale(window.width, window.height)
         across, down = -(-window.width // scale), -(-window.height // scale)
-        row = (layers_met + len(_RESULTS_KEPT)) * _SQUARE_BYTES
+        row = (layers_met + len(RESULTS)) * _SQUARE_BYTES
         fixed = across * (down * len(compared(rules)) * _PICTURE_BYTES + 2 * row)
         return -(-row // scale**2), fixed
 
@@ -74,7 +75,7 @@ class SmallPictures:
         first = begin // self._scale
         inside = slice(first, first + squares.shape[0])
         for name, sums in self._sums.items():
-            sums[inside] += squares.sums[_measured(self._rules)[name]]
+            sums[inside] += squares.sums[self._measured[name]]
         at_top = -begin % self._scale
         ours = layer[at_top :: self._scale, :: self._scale]
         above = first + (at_top > 0)
@@ -105,9 +106,7 @@ class SmallPictures:
 
     def result(self) -> Preview:
         """The preview, once all strips have come."""
-        shown: Mapping[str, Codes] = self._blended | {
-            name: self._shown(sums) for name, sums in self._sums.items()
-        }
+        shown = self._blended | {name: self._shown(sums) for name, sums in self._sums.items()}
         pictures = {name: shown[name] for name in compared(self._rules)}
         own = self._rules.blending.name
         return Preview(pictures, own, self._layer, self._scale, tuple(self._blended))
@@ -120,10 +119,6 @@ class SmallPictures:
 
     def _row(self, rows: Window) -> int:
         return rows.y - self._window.y
-
-
-#: The results of which an engine may give squares.
-_RESULTS_KEPT = ("result", "traditional", "hue_preserving")
 
 
 def _measured(rules: StackRules) -> dict[str, str]:

@@ -769,11 +769,11 @@ README_LINES = "".join(code for language, code in EXAMPLES if language == "sh").
 
 
 @pytest.mark.parametrize(
-    "line", dict(stack_examples(line for line in README_LINES if line.startswith("hpcomp ")))
+    "line",
+    # Those that read a pipe have their layers from elsewhere.
+    dict(stack_examples(n for n in README_LINES if n.startswith("hpcomp ") and " - " not in n)),
 )
 def test_every_layer_of_an_example_of_readme_counts(tmp_path, line):
-    if " - " in line:
-        pytest.skip("a pipe")
     folder = shutil.copytree(ROOT / "samples" / "terrain" / "layers", tmp_path / "out")
     ((_, arguments),) = stack_examples([line])
     assert_every_layer_counts(folder, arguments)
